@@ -1,0 +1,1 @@
+"""dashpot: virtual passive control for torque-sensed robot joints."""

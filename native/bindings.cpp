@@ -1,0 +1,159 @@
+// Python bindings of the controller core and the closed-loop runner.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <stdexcept>
+#include <string>
+
+#include "dashpot_runner.h"
+
+namespace nb = nanobind;
+
+namespace {
+
+using Bytes = nb::ndarray<uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Array = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
+using Vector = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Ints = nb::ndarray<int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+// The C controller with the input array it reads from; both stay where they are.
+struct Core {
+    dp_controller c{};
+    double in[DP_NIN * DP_MAX_JOINTS] = {};
+    double out[DP_MAX_JOINTS] = {};
+};
+
+const dp_block *blocks_of(const Bytes &raw, int &n) {
+    if (raw.size() == 0 || raw.size() % sizeof(dp_block) != 0)
+        throw std::invalid_argument("coefficient blocks have the wrong size");
+    n = static_cast<int>(raw.size() / sizeof(dp_block));
+    return reinterpret_cast<const dp_block *>(raw.data());
+}
+
+int check_joint(const Core &core, int joint) {
+    if (joint < 0 || joint >= core.c.n)
+        throw nb::index_error(("joint index " + std::to_string(joint) + " is not in 0.." +
+                               std::to_string(core.c.n - 1)).c_str());
+    return joint;
+}
+
+double *optional(nb::object o, size_t size, const char *name) {
+    if (o.is_none())
+        return nullptr;
+    Array a = nb::cast<Array>(o, false);
+    if (a.size() != size)
+        throw std::invalid_argument(std::string(name) + " has the wrong size");
+    return a.data();
+}
+
+nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t model, uintptr_t data, Vector qpos,
+              Vector qvel, Vector qfrc_applied, double dt, int steps_per_tick, int ticks, nb::object reference,
+              nb::object external, nb::object record, nb::object status) {
+    if (drives.size() == 0 || drives.size() % sizeof(dp_drive) || events.size() % sizeof(dp_event))
+        throw std::invalid_argument("drive or event records have the wrong size");
+    dp_run_args a{};
+    a.step = reinterpret_cast<void (*)(const void *, void *)>(step);
+    a.model = reinterpret_cast<const void *>(model);
+    a.data = reinterpret_cast<void *>(data);
+    a.qpos = qpos.data();
+    a.qvel = qvel.data();
+    a.qfrc_applied = qfrc_applied.data();
+    a.dt = dt;
+    a.steps_per_tick = steps_per_tick;
+    a.ticks = ticks;
+    a.drives = static_cast<int>(drives.size() / sizeof(dp_drive));
+    a.events = static_cast<int>(events.size() / sizeof(dp_event));
+    a.drive = reinterpret_cast<dp_drive *>(drives.data());
+    a.event = reinterpret_cast<const dp_event *>(events.data());
+    if (a.drives > DP_MAX_JOINTS || ticks < 0 || steps_per_tick < 1)
+        throw std::invalid_argument("too many drives, or a bad number of ticks or steps");
+    for (int j = 0; j < a.drives; j++) {
+        const dp_drive &d = a.drive[j];
+        auto bad = [](int i, size_t n) { return i < 0 || static_cast<size_t>(i) >= n; };
+        if (bad(d.rotor_qpos, qpos.size()) || bad(d.spring_qpos, qpos.size()) || bad(d.rotor_dof, qvel.size()) ||
+            bad(d.spring_dof, qvel.size()) || qfrc_applied.size() != qvel.size())
+            throw std::invalid_argument("a drive's index is outside the engine's state");
+        if (d.control >= (core ? core->c.n : 0) || d.sensor_delay < 0 || d.sensor_delay > DP_MAX_DELAY ||
+            d.inner_steps < 1)
+            throw std::invalid_argument("a drive's control index, delay or inner period is out of range");
+    }
+    for (int i = 0; i < a.events; i++)
+        if (!core || a.event[i].joint < 0 || a.event[i].joint >= core->c.n)
+            throw std::invalid_argument("an event names a joint that is not controlled");
+    const size_t cells = static_cast<size_t>(ticks) * a.drives;
+    a.reference = optional(reference, 4 * cells, "reference");
+    a.external = optional(external, cells, "external");
+    a.record = optional(record, DP_NREC * cells, "record");
+    if (!status.is_none()) {
+        Ints s = nb::cast<Ints>(status, false);
+        if (s.size() != static_cast<size_t>(ticks))
+            throw std::invalid_argument("status has the wrong size");
+        a.status = s.data();
+    }
+    int result;
+    {
+        nb::gil_scoped_release release;
+        result = dp_run(core ? &core->c : nullptr, &a);
+    }
+    return nb::make_tuple(result, a.diverged_tick);
+}
+
+}  // namespace
+
+NB_MODULE(_native, m) {
+    m.attr("BLOCK_SIZE") = sizeof(dp_block);
+    m.attr("DRIVE_SIZE") = sizeof(dp_drive);
+    m.attr("EVENT_SIZE") = sizeof(dp_event);
+    m.attr("MAX_JOINTS") = static_cast<int>(DP_MAX_JOINTS);
+    m.attr("MAX_LATENCY") = static_cast<int>(DP_MAX_LATENCY);
+    m.attr("MAX_DELAY") = static_cast<int>(DP_MAX_DELAY);
+
+    nb::class_<Core>(m, "Core")
+        .def("__init__",
+             [](Core *self, Bytes raw) {
+                 int n = 0;
+                 const dp_block *blocks = blocks_of(raw, n);
+                 new (self) Core();
+                 if (dp_init(&self->c, blocks, n) != 0)
+                     throw std::invalid_argument("number of joints, states or latency out of range");
+             })
+        .def_prop_ro("n", [](const Core &s) { return s.c.n; })
+        .def_prop_ro("inputs",
+                     [](Core &s) {
+                         return nb::ndarray<nb::numpy, double>(s.in, {size_t(DP_NIN), size_t(s.c.n)}, nb::find(s));
+                     })
+        .def("step",
+             [](Core &s, Vector out) {
+                 if (out.size() != static_cast<size_t>(s.c.n))
+                     throw std::invalid_argument("out must have one element per joint");
+                 return dp_step(&s.c, s.in, out.data());
+             })
+        .def("step",
+             [](Core &s, Array in, Vector out) {
+                 if (in.size() != static_cast<size_t>(s.c.n) * DP_NIN || out.size() != static_cast<size_t>(s.c.n))
+                     throw std::invalid_argument("inputs must have shape (7, n) and out (n,)");
+                 return dp_step(&s.c, in.data(), out.data());
+             })
+        .def("reset", [](Core &s) { dp_reset(&s.c); })
+        .def("set_mode", [](Core &s, int j, int mode) { dp_set_mode(&s.c, check_joint(s, j), mode); })
+        .def("set_position_loop", [](Core &s, int j, bool on) { dp_set_position_loop(&s.c, check_joint(s, j), on); })
+        .def("warm_start", [](Core &s, int j, double v) { dp_warm_start(&s.c, check_joint(s, j), v); })
+        .def("joint_state",
+             [](const Core &s, int j) {
+                 const dp_state &t = s.c.state[check_joint(s, j)];
+                 return nb::make_tuple(t.mode, t.position_loop != 0, t.command, t.in_effect, t.status,
+                                       nb::make_tuple(t.x[0], t.x[1], t.x[2], t.x[3]));
+             });
+
+    m.def("run", &run, nb::arg("core").none(), nb::arg("drives"), nb::arg("events"), nb::arg("step"), nb::arg("model"),
+          nb::arg("data"), nb::arg("qpos"), nb::arg("qvel"), nb::arg("qfrc_applied"), nb::arg("dt"),
+          nb::arg("steps_per_tick"), nb::arg("ticks"), nb::arg("reference").none(), nb::arg("external").none(),
+          nb::arg("record").none(), nb::arg("status").none());
+
+    // For benchmarks: seconds are measured by the caller; no Python between the steps.
+    m.def("step_many", [](Core &s, int count) {
+        nb::gil_scoped_release release;
+        for (int i = 0; i < count; i++)
+            dp_step(&s.c, s.in, s.out);
+    });
+}

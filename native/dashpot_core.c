@@ -1,0 +1,178 @@
+#include "dashpot_core.h"
+
+/* True for finite x; unlike isfinite it needs no header and no library. */
+static int finite(double x) { return x - x == 0.0; }
+
+static double clamp(double x, double limit)
+{
+    return x > limit ? limit : (x < -limit ? -limit : x);
+}
+
+int dp_init(dp_controller *c, const dp_block *blocks, int n)
+{
+    if (n < 1 || n > DP_MAX_JOINTS)
+        return -1;
+    for (int j = 0; j < n; j++) {
+        if (blocks[j].nx < 0 || blocks[j].nx > DP_NX)
+            return -1;
+        if (blocks[j].latency < 0 || blocks[j].latency > DP_MAX_LATENCY)
+            return -1;
+    }
+    c->n = n;
+    for (int j = 0; j < n; j++) {
+        c->block[j] = blocks[j];
+        c->state[j].mode = DP_MODE_ACTIVE;
+        c->state[j].position_loop = 1;
+    }
+    dp_reset(c);
+    return 0;
+}
+
+void dp_reset(dp_controller *c)
+{
+    for (int j = 0; j < c->n; j++) {
+        dp_state *s = &c->state[j];
+        int mode = s->mode, loop = s->position_loop;
+        *s = (dp_state){0};
+        s->mode = mode;
+        s->position_loop = loop;
+    }
+}
+
+static double dot(const double *a, const double *b, int n)
+{
+    double sum = 0.0;
+    for (int i = 0; i < n; i++)
+        sum += a[i] * b[i];
+    return sum;
+}
+
+/* Issues the torque u (known finite): fades out a change of mode, then applies the limits. */
+static double issue(const dp_block *b, dp_state *s, double u)
+{
+    int status = DP_OK;
+    if (s->changed && b->blend > 0.0)
+        s->offset = s->command - u; /* the first tick continues the old torque exactly */
+    else
+        s->offset *= b->blend;
+    s->changed = 0;
+    if (s->offset != 0.0) {
+        if (s->offset < 1e-9 && s->offset > -1e-9)
+            s->offset = 0.0;
+        else
+            status |= DP_BLENDING;
+        u += s->offset;
+    }
+    double limited = clamp(u, b->torque_limit);
+    if (limited != u)
+        status |= DP_TORQUE_LIMITED;
+    double step = limited - s->command;
+    double held = clamp(step, b->rate_limit);
+    if (held != step) {
+        status |= DP_RATE_LIMITED;
+        limited = s->command + held;
+    }
+    s->status = status;
+    return limited;
+}
+
+static int used(const dp_block *b, int mode, int input)
+{
+    if (mode != DP_MODE_ACTIVE)
+        return mode == DP_MODE_BYPASS && b->bypass[input] != 0.0;
+    int any = b->D[input] != 0.0;
+    for (int i = 0; i < b->nx; i++)
+        any |= b->B[i][input] != 0.0;
+    return any;
+}
+
+static double output(const dp_block *b, const dp_state *s, const double *w)
+{
+    if (s->mode == DP_MODE_ACTIVE)
+        return dot(b->C, s->x, b->nx) + dot(b->D, w, DP_NW);
+    return s->mode == DP_MODE_BYPASS ? dot(b->bypass, w, DP_NW) : 0.0;
+}
+
+static double joint_step(const dp_block *b, dp_state *s, double *w)
+{
+    const int nx = b->nx;
+    double u = output(b, s, w);
+    if (!finite(u)) { /* rare: a broken input that this block does not use is no reason to stop */
+        for (int i = 0; i < DP_NW; i++)
+            if (!finite(w[i]) && !used(b, s->mode, i))
+                w[i] = 0.0;
+        u = output(b, s, w);
+    }
+    if (!finite(u)) {
+        s->status = DP_NOT_FINITE;
+        return s->command;
+    }
+    if (s->mode != DP_MODE_ACTIVE)
+        return issue(b, s, u);
+
+    const dp_state before = *s;
+    double issued = issue(b, s, u);
+    double next[DP_NX], check = 0.0;
+    for (int i = 0; i < nx; i++) {
+        next[i] = dot(b->A[i], s->x, nx) + dot(b->B[i], w, DP_NW) + b->E[i] * (issued - u);
+        check += next[i] - next[i];
+    }
+    if (check != 0.0) { /* also true for NaN */
+        *s = before;
+        s->status = DP_NOT_FINITE;
+        return s->command;
+    }
+    for (int i = 0; i < nx; i++)
+        s->x[i] = next[i];
+    return issued;
+}
+
+int dp_step(dp_controller *c, const double *in, double *out)
+{
+    const int n = c->n;
+    int status = DP_OK;
+    for (int j = 0; j < n; j++) {
+        const dp_block *b = &c->block[j];
+        dp_state *s = &c->state[j];
+        double w[DP_NW] = {in[DP_IN_TORQUE * n + j], s->in_effect};
+        if (s->position_loop)
+            for (int i = DP_IN_POSITION; i < DP_NIN; i++)
+                w[i + 1] = in[i * n + j];
+        double u = joint_step(b, s, w);
+        s->command = u;
+        if (b->latency == 0) {
+            s->in_effect = u;
+        } else {
+            s->in_effect = s->line[s->head];
+            s->line[s->head] = u;
+            s->head = s->head + 1 == b->latency ? 0 : s->head + 1;
+        }
+        out[j] = u;
+        status |= s->status;
+    }
+    return status;
+}
+
+void dp_set_mode(dp_controller *c, int joint, int mode)
+{
+    dp_state *s = &c->state[joint];
+    if (s->mode == mode)
+        return;
+    s->mode = mode;
+    s->changed = 1;
+    for (int i = 0; i < DP_NX; i++)
+        s->x[i] = 0.0;
+}
+
+void dp_set_position_loop(dp_controller *c, int joint, int on)
+{
+    c->state[joint].position_loop = on != 0;
+}
+
+void dp_warm_start(dp_controller *c, int joint, double velocity)
+{
+    const dp_block *b = &c->block[joint];
+    if (finite(velocity))
+        for (int i = 0; i < b->nx; i++)
+            c->state[joint].x[i] = b->warm[i] * velocity;
+}

@@ -1,0 +1,230 @@
+#include "dashpot_runner.h"
+
+#include <math.h>
+#include <string.h>
+
+static const double MAX_SPEED = 1e4; /* [rad/s]; no joint moves so fast: the simulation has diverged */
+
+static double clamp(double x, double limit)
+{
+    return x > limit ? limit : (x < -limit ? -limit : x);
+}
+
+/* splitmix64: state advances by a constant, so each drive's stream depends on its seed only. */
+static double uniform(unsigned long long *state)
+{
+    unsigned long long z = (*state += 0x9E3779B97F4A7C15ULL);
+    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9ULL;
+    z = (z ^ (z >> 27)) * 0x94D049BB133111EBULL;
+    z ^= z >> 31;
+    return ((double)(z >> 11) + 0.5) * 0x1p-53;
+}
+
+static double gaussian(unsigned long long *state)
+{
+    double radius = sqrt(-2.0 * log(uniform(state)));
+    return radius * cos(6.283185307179586 * uniform(state));
+}
+
+/* Elastic - perfectly plastic element: sticks exactly, dissipates on slip, never drifts. */
+static double slip(double *z, double delta, double stiffness, double limit)
+{
+    *z = clamp(*z + delta, limit / stiffness);
+    return stiffness * *z;
+}
+
+/* Reads the engine's new state: element forces, transmitted torque, sensor. */
+static void observe(dp_drive *d, const double *qpos, const double *qvel, double dt, long step)
+{
+    const double e = qpos[d->spring_qpos], de = qvel[d->spring_dof], w = qvel[d->rotor_dof];
+    double tau = -(d->stiffness * e + d->damping * de);
+    if (d->half_gap > 0.0)
+        tau += d->stiffness * clamp(e, d->half_gap);
+    if (d->hysteresis > 0.0)
+        tau -= slip(&d->hysteresis_z, de * dt, d->hysteresis_stiffness, d->hysteresis);
+    if (d->coulomb > 0.0) {
+        double elastic = slip(&d->friction_z, w * dt, d->presliding_stiffness, d->coulomb);
+        d->friction = clamp(elastic + d->presliding_damping * w, d->coulomb);
+    }
+    double seen = tau;
+    if (d->sensor_delay > 0) {
+        double *slot = &d->delay[step % d->sensor_delay];
+        seen = *slot;
+        *slot = tau;
+    }
+    if (d->filtered) {
+        double x0 = d->filter_x[0], x1 = d->filter_x[1];
+        d->filter_x[0] = d->filter_a[0][0] * x0 + d->filter_a[0][1] * x1 + d->filter_b[0] * seen;
+        d->filter_x[1] = d->filter_a[1][0] * x0 + d->filter_a[1][1] * x1 + d->filter_b[1] * seen;
+        seen = d->filter_x[0];
+    }
+    d->sum += 0.5 * (d->measured_tau + seen);
+    d->measured_tau = seen;
+    d->tau = tau;
+}
+
+/* Writes the forces of the coming step. */
+static void actuate(dp_drive *d, const dp_run_args *a, const double *reference, double ahead, double external,
+                    long step)
+{
+    const double e = a->qpos[d->spring_qpos];
+    const double q = a->qpos[d->rotor_qpos], w = a->qvel[d->rotor_dof];
+    double torque = d->motor;
+    if (d->control < 0 && reference) {
+        double error = reference[0] + ahead * reference[1] - q;
+        double u = d->servo_kp * error + d->servo_kd * (reference[1] - w) + d->integral;
+        torque = clamp(u, d->servo_limit);
+        if (torque == u) /* integrate only while not saturated */
+            d->integral += d->servo_ki * error * a->dt;
+    }
+    torque = clamp(torque, d->torque_limit);
+    d->asked = torque;
+    if (d->inner_gain > 0.0) {
+        d->inner_torque = d->tau + d->inner_pole * (d->inner_torque - d->tau);
+        if (step % d->inner_steps == 0)
+            d->inner_correction = d->inner_gain * (torque - d->inner_torque); /* correction held for a period */
+        torque += d->inner_correction;
+    }
+    /* The engine's own spring carries k e + c e'; only what differs from it is applied here. */
+    double spring = d->half_gap > 0.0 ? d->stiffness * clamp(e, d->half_gap) : 0.0;
+    if (d->hysteresis > 0.0)
+        spring -= d->hysteresis_stiffness * d->hysteresis_z;
+    double link = external, angle = q + e;
+    if (angle > d->stop_upper || angle < d->stop_lower) {
+        double depth = angle > d->stop_upper ? angle - d->stop_upper : angle - d->stop_lower;
+        double push = d->stop_stiffness * depth + d->stop_damping * (w + a->qvel[d->spring_dof]);
+        if (push * depth > 0.0) /* a stop pushes, it never pulls */
+            link -= push;
+    }
+    a->qfrc_applied[d->rotor_dof] = d->actuator_gain * torque - d->friction + link;
+    a->qfrc_applied[d->spring_dof] = spring + link;
+}
+
+static double sample(dp_drive *d, int steps)
+{
+    double tau = d->average && steps > 0 ? d->sum / steps : d->measured_tau;
+    d->sum = 0.0;
+    tau = d->sensor_gain * tau + d->sensor_bias;
+    if (d->sensor_noise > 0.0)
+        tau += d->sensor_noise * gaussian(&d->rng);
+    if (d->sensor_resolution > 0.0)
+        tau = d->sensor_resolution * floor(tau / d->sensor_resolution + 0.5);
+    return tau;
+}
+
+static void record(const dp_run_args *a, int tick, int j, int field, double value)
+{
+    a->record[((long)field * a->ticks + tick) * a->drives + j] = value;
+}
+
+static const double *row(const double *table, const dp_run_args *a, int field, int tick, int j)
+{
+    return &table[((long)field * a->ticks + tick) * a->drives + j];
+}
+
+static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in, double *out, double *encoder)
+{
+    const int n = c ? c->n : 0;
+    for (int j = 0; j < a->drives; j++) {
+        dp_drive *d = &a->drive[j];
+        double q = a->qpos[d->rotor_qpos], w = a->qvel[d->rotor_dof];
+        if (d->position_resolution > 0.0) {
+            q = d->position_resolution * floor(q / d->position_resolution + 0.5);
+            w = tick > 0 ? (q - encoder[j]) / (a->dt * a->steps_per_tick) : w;
+        }
+        encoder[j] = q;
+        double tau = sample(d, tick > 0 ? a->steps_per_tick : 0);
+        if (a->record) {
+            record(a, tick, j, DP_REC_POSITION, q);
+            record(a, tick, j, DP_REC_VELOCITY, w);
+            record(a, tick, j, DP_REC_LINK_POSITION, a->qpos[d->rotor_qpos] + a->qpos[d->spring_qpos]);
+            record(a, tick, j, DP_REC_LINK_VELOCITY, a->qvel[d->rotor_dof] + a->qvel[d->spring_dof]);
+            record(a, tick, j, DP_REC_TORQUE, d->tau);
+            record(a, tick, j, DP_REC_SAMPLE, tau);
+        }
+        int i = d->control;
+        if (i < 0)
+            continue;
+        in[DP_IN_TORQUE * n + i] = tau;
+        in[DP_IN_POSITION * n + i] = q;
+        in[DP_IN_VELOCITY * n + i] = w;
+        for (int k = 0; k < 4; k++)
+            in[(DP_IN_POSITION_REF + k) * n + i] = a->reference ? *row(a->reference, a, k, tick, j) : 0.0;
+    }
+    if (c) {
+        int status = dp_step(c, in, out);
+        if (a->status)
+            a->status[tick] = status;
+    }
+    for (int j = 0; j < a->drives; j++) {
+        dp_drive *d = &a->drive[j];
+        if (d->control >= 0)
+            d->motor = c->state[d->control].in_effect;
+        if (a->record) {
+            record(a, tick, j, DP_REC_COMMAND, d->control >= 0 ? out[d->control] : d->asked);
+            record(a, tick, j, DP_REC_IN_EFFECT, d->control >= 0 ? d->motor : d->asked);
+        }
+    }
+}
+
+static int apply_events(dp_controller *c, const dp_run_args *a, int tick, int next)
+{
+    for (; next < a->events && a->event[next].tick <= tick; next++) {
+        const dp_event *e = &a->event[next];
+        if (e->kind == DP_EVENT_MODE)
+            dp_set_mode(c, e->joint, e->value);
+        else if (e->kind == DP_EVENT_POSITION_LOOP)
+            dp_set_position_loop(c, e->joint, e->value);
+        else
+            for (int j = 0; j < a->drives; j++)
+                if (a->drive[j].control == e->joint)
+                    dp_warm_start(c, e->joint, a->qvel[a->drive[j].rotor_dof]);
+    }
+    return next;
+}
+
+int dp_run(dp_controller *c, dp_run_args *a)
+{
+    double in[DP_NIN * DP_MAX_JOINTS] = {0}, out[DP_MAX_JOINTS] = {0}, encoder[DP_MAX_JOINTS] = {0};
+    int next = 0;
+    long step = 0;
+    for (int j = 0; j < a->drives; j++) {
+        dp_drive *d = &a->drive[j];
+        double tau = -(d->stiffness * a->qpos[d->spring_qpos] + d->damping * a->qvel[d->spring_dof]);
+        d->filter_x[0] = d->measured_tau = d->inner_torque = d->tau = tau;
+        d->filter_x[1] = d->friction_z = d->hysteresis_z = d->sum = d->integral = 0.0;
+        d->motor = d->asked = d->friction = d->inner_correction = 0.0;
+        for (int i = 0; i < DP_MAX_DELAY; i++)
+            d->delay[i] = tau;
+    }
+    a->diverged_tick = -1;
+    for (int tick = 0; tick < a->ticks; tick++) {
+        if (c)
+            next = apply_events(c, a, tick, next);
+        control_tick(c, a, tick, in, out, encoder);
+        for (int k = 0; k < a->steps_per_tick; k++, step++) {
+            for (int j = 0; j < a->drives; j++) {
+                double reference[2] = {0.0, 0.0};
+                if (a->drive[j].control < 0 && a->reference) {
+                    reference[0] = *row(a->reference, a, 0, tick, j);
+                    reference[1] = *row(a->reference, a, 1, tick, j);
+                }
+                actuate(&a->drive[j], a, a->reference ? reference : 0, k * a->dt,
+                        a->external ? *row(a->external, a, 0, tick, j) : 0.0, step);
+            }
+            a->step(a->model, a->data);
+            double fastest = 0.0;
+            for (int j = 0; j < a->drives; j++) {
+                dp_drive *d = &a->drive[j];
+                observe(d, a->qpos, a->qvel, a->dt, step);
+                double w = fabs(a->qvel[d->rotor_dof]) + fabs(a->qvel[d->spring_dof]);
+                fastest = w > fastest || w != w ? w : fastest;
+            }
+            if (!(fastest < MAX_SPEED)) {
+                a->diverged_tick = tick;
+                return DP_RUN_DIVERGED;
+            }
+        }
+    }
+    return DP_RUN_OK;
+}

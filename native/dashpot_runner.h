@@ -1,0 +1,101 @@
+/* Closed loop of a controller around a physics step, at native speed.
+ *
+ * The physics engine is reached through the address of its step function and pointers to
+ * its state arrays, so this file needs no header of the engine and survives its upgrades.
+ * Each joint is a rotor hinge (its engine armature is the rotor inertia) in series with a
+ * spring hinge (stiffness k, damping c) that carries the link; the torque from rotor to link is
+ *     tau_s = -(k e + c e') + k gap(e) - hysteresis(e),  e = deflection of the spring hinge.
+ */
+#ifndef DASHPOT_RUNNER_H
+#define DASHPOT_RUNNER_H
+
+#include "dashpot_core.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum { DP_MAX_DELAY = 64 };
+
+/* Drive of one joint as simulated, with its state at the end (cleared by dp_run). */
+typedef struct {
+    double stiffness, damping;        /* transmission k [N m/rad], c [N m s/rad] */
+    double half_gap;                  /* backlash: the spring is slack for |e| < half_gap [rad] */
+    double hysteresis;                /* limit of the Maxwell-slip element across the spring [N m] */
+    double hysteresis_stiffness;      /* [N m/rad] */
+    double coulomb;                   /* rotor friction limit [N m] */
+    double presliding_stiffness;      /* [N m/rad] */
+    double presliding_damping;        /* [N m s/rad] */
+    double stop_lower, stop_upper;    /* link angle at which the stops begin [rad] */
+    double stop_stiffness, stop_damping;
+    double torque_limit;              /* of the drive [N m] */
+    double actuator_gain;             /* 1 + relative error of the torque produced */
+    double inner_gain;                /* inner torque loop: u + g (u - tau_s); 0 = none */
+    double inner_pole;                /* per-step decay of its torque filter, 0 = no filter */
+    double servo_kp, servo_kd, servo_ki, servo_limit;
+    double sensor_gain, sensor_bias, sensor_noise, sensor_resolution;
+    double filter_a[2][2], filter_b[2]; /* sensor low-pass at the physics step, output state 0 */
+    double position_resolution;       /* [rad], 0 = ideal */
+    int rotor_qpos, rotor_dof, spring_qpos, spring_dof;
+    int control;                      /* index in the controller, or -1: the robot's own servo */
+    int average, filtered, sensor_delay; /* sampling; delay in physics steps */
+    int inner_steps;                  /* physics steps per inner-loop period */
+    int reserved;                     /* keeps the doubles below aligned */
+    /* state */
+    double friction_z, hysteresis_z, tau, filter_x[2], sum, integral, motor, measured_tau, friction;
+    double inner_torque, inner_correction, asked;
+    double delay[DP_MAX_DELAY];
+    unsigned long long rng;
+} dp_drive;
+
+enum { DP_EVENT_MODE, DP_EVENT_POSITION_LOOP, DP_EVENT_WARM_START };
+
+typedef struct {
+    int tick, joint, kind; /* joint is the controller's index */
+    int value;
+} dp_event;
+
+/* What is recorded at each tick, each an array [ticks][drives]. */
+enum {
+    DP_REC_POSITION,      /* rotor position, as used by the position loop [rad] */
+    DP_REC_VELOCITY,      /* rotor velocity [rad/s] */
+    DP_REC_LINK_POSITION, /* [rad] */
+    DP_REC_LINK_VELOCITY, /* [rad/s] */
+    DP_REC_TORQUE,        /* transmitted torque, true [N m] */
+    DP_REC_SAMPLE,        /* torque sample given to the controller [N m] */
+    DP_REC_COMMAND,       /* torque command issued at this tick [N m] */
+    DP_REC_IN_EFFECT,     /* torque asked of the drive over the coming period [N m]; a servo's: the last */
+    DP_NREC
+};
+
+enum { DP_RUN_OK = 0, DP_RUN_DIVERGED = 1 };
+
+typedef struct {
+    void (*step)(const void *model, void *data);
+    const void *model;
+    void *data;
+    const double *qpos, *qvel;
+    double *qfrc_applied;
+    double dt;          /* physics step [s] */
+    int steps_per_tick;
+    int ticks;
+    int drives;
+    int events;
+    dp_drive *drive;
+    const dp_event *event;
+    const double *reference; /* [4][ticks][drives]: position, velocity, acceleration, torque; or null */
+    const double *external;  /* [ticks][drives]: torque on the links [N m]; or null */
+    double *record;          /* [DP_NREC][ticks][drives]; or null */
+    int *status;             /* [ticks]: or-ed statuses of the controller; or null */
+    int diverged_tick;
+} dp_run_args;
+
+/* Runs a->ticks control periods; returns DP_RUN_OK or DP_RUN_DIVERGED (a rotor or link faster than
+ * 1e4 rad/s, or not finite; records stop there and diverged_tick is set). The engine's qpos and qvel
+ * are the initial state; rng seeds in drive[].rng must be set. */
+int dp_run(dp_controller *c, dp_run_args *a);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

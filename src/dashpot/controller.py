@@ -1,0 +1,285 @@
+"""A controller for an arm: its file, its checks, and the native object that runs it."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dashpot import _native
+from dashpot.drive import Drive
+from dashpot.errors import InputError, InputWarning
+from dashpot.sampled import (
+    BLOCK_DTYPE,
+    Floats,
+    Form,
+    VirtualPassive,
+    add_position_loop,
+    virtual_passive_block,
+)
+from dashpot.tables import check_keys, check_numbers, from_table, number, read_toml
+
+Sampling = Literal["average", "point"]
+Mode = Literal["off", "bypass", "active"]
+MODES: tuple[str, ...] = get_args(Mode)
+
+TORQUE_LIMITED, RATE_LIMITED, NOT_FINITE, BLENDING = 1, 2, 4, 8
+"""Bits of the status `Controller.step` returns."""
+
+
+@dataclass(frozen=True)
+class JointGains:
+    """One ``[[joint]]`` of a controller file. SI units, link side.
+
+    Attributes:
+        name: Joint of the robot.
+        R: R_tau of Eq. (20): how many times heavier the virtual rotor is [-].
+        D: D_c, virtual damping [N m s/rad].
+        K: K_c, virtual stiffness [N m/rad].
+        kp: Position gain of Fig. 2 [N m/rad].
+        kd: Velocity gain of Fig. 2 [N m s/rad].
+        rotor_inertia: m assumed by the law [kg m^2]; None: the drive's.
+        viscous_friction: v assumed by the law [N m s/rad]; None: the drive's.
+    """
+
+    name: str
+    R: float = number("-", 0, 1e4, open_low=True, typical=(0.01, 200))
+    D: float = number("N m s/rad", 0, 1e6, open_low=True, typical=(1e-3, 1e4))
+    K: float = number("N m/rad", 0, 1e7, default=0.0)
+    kp: float = number("N m/rad", 0, 1e7, default=0.0)
+    kd: float = number("N m s/rad", 0, 1e6, default=0.0)
+    rotor_inertia: float | None = number("kg m^2", 0, 1e3, open_low=True, default=None)
+    viscous_friction: float | None = number("N m s/rad", 0, 1e4, default=None)
+
+    def __post_init__(self) -> None:
+        check_numbers(self, joint=self.name)
+
+
+@dataclass(frozen=True)
+class ControllerConfig:
+    """A controller file.
+
+    Attributes:
+        joints: Gains, one per controlled joint; the others stay under the robot's own position loop.
+        period: Sample period [s].
+        latency: Whole samples from computing a torque to its taking effect.
+        sampling: "average": mean torque over the last period; "point": the latest value.
+        form: "explicit" or "implicit" discretisation of Eqs. (20)-(21).
+        blend: Time constant over which a change of mode is faded in [s]; 0: at once.
+        file: Where it was read from.
+    """
+
+    joints: tuple[JointGains, ...]
+    period: float = number("s", 1e-5, 1.0, typical=(1e-4, 0.02))
+    latency: int = 0
+    sampling: Sampling = "average"
+    form: Form = "implicit"
+    blend: float = number("s", 0, 10, default=0.02)
+    file: Path | None = None
+
+    def __post_init__(self) -> None:
+        check_numbers(self, file=self.file)
+        if type(self.latency) is not int or not 0 <= self.latency <= _native.MAX_LATENCY:
+            raise InputError(
+                f"must be a whole number of samples, 0 to {_native.MAX_LATENCY}",
+                file=self.file,
+                quantity="latency",
+                value=self.latency,
+            )
+        for key, value, valid in (("sampling", self.sampling, Sampling), ("form", self.form, Form)):
+            if value not in get_args(valid):
+                options = " or ".join(f'"{o}"' for o in get_args(valid))
+                raise InputError(f"must be {options}", file=self.file, quantity=key, value=value)
+        names = [joint.name for joint in self.joints]
+        if not names:
+            raise InputError("a controller needs at least one [[joint]]", file=self.file)
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError("is listed twice", file=self.file, joint=name)
+
+    @classmethod
+    def load(cls, path: str | Path) -> ControllerConfig:
+        """Reads a controller TOML (see README, "Files").
+
+        Raises:
+            InputError: Naming file, joint, key, value and rule.
+        """
+        path = Path(path)
+        table = read_toml(path)
+        check_keys(
+            table, {"period", "latency", "sampling", "form", "blend", "joint"}, {"period", "joint"}, file=path
+        )
+        entries = table.pop("joint")
+        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+            raise InputError("must be [[joint]] tables", file=path, quantity="joint")
+        joints = []
+        for entry in entries:
+            name = entry.get("name")
+            if not isinstance(name, str):
+                raise InputError("every [[joint]] needs a name", file=path, quantity="name", value=name)
+            joints.append(from_table(JointGains, entry, file=path, joint=name))
+        if type(table["period"]) is int:
+            table["period"] = float(table["period"])
+        return cls(joints=tuple(joints), file=path, **table)
+
+
+def joint_block(
+    gains: JointGains, drive: Drive, config: ControllerConfig, *, file: object = None
+) -> NDArray[np.void]:
+    """The coefficient block of one joint, position loop and limits included.
+
+    Returns:
+        A record of `BLOCK_DTYPE`.
+
+    Warns:
+        InputWarning: The drive's torque-channel error exceeds ``D/(R a)``, the most this law tolerates.
+    """
+    law = VirtualPassive(
+        gains.R,
+        gains.D,
+        gains.K,
+        drive.rotor_inertia if gains.rotor_inertia is None else gains.rotor_inertia,
+        drive.viscous_friction if gains.viscous_friction is None else gains.viscous_friction,
+    )
+    tolerated = law.D / (law.R * law.a)
+    if drive.torque_gain_error > tolerated:
+        message = InputError(
+            f"exceeds D/(R (R v + D)) = {tolerated:.3g}, the torque-channel error these gains tolerate; "
+            "lower R or raise D",
+            file=file,
+            joint=gains.name,
+            quantity="torque_gain_error",
+            value=drive.torque_gain_error,
+        )
+        warnings.warn(str(message), InputWarning, stacklevel=2)
+    block = add_position_loop(virtual_passive_block(law, config.period, config.form), gains.kp, gains.kd)
+    block["torque_limit"] = drive.torque_limit
+    block["rate_limit"] = drive.torque_rate_limit * config.period
+    block["blend"] = math.exp(-config.period / config.blend) if config.blend > 0 else 0.0
+    block["latency"] = config.latency
+    return block
+
+
+class Inputs(NamedTuple):
+    """Views of the controller's input memory, each (n,): write them, then call `Controller.step`."""
+
+    torque: Floats
+    position: Floats
+    velocity: Floats
+    position_ref: Floats
+    velocity_ref: Floats
+    acceleration_ref: Floats
+    torque_ref: Floats
+
+
+class Controller:
+    """Runs the joint blocks: the same native code that simulates and that runs on the robot.
+
+    >>> controller.inputs.torque[:] = sensed          # (n,), N m: interval average or point sample
+    >>> status = controller.step(command)             # writes (n,) into your array, allocates nothing
+
+    Attributes:
+        blocks: (n,) records of `BLOCK_DTYPE`.
+        joints: Names, in the order of the blocks.
+        period: Sample period [s].
+        sampling: How the torque must be sampled.
+        inputs: Views of the input memory.
+        step: ``step(out) -> status`` or ``step(inputs (7, n), out (n,)) -> status``: one tick. ``out``
+            receives the torque to command now [N m]; the status is an or of `TORQUE_LIMITED`, `RATE_LIMITED`,
+            `NOT_FINITE` (that joint holds its last torque) and `BLENDING`.
+        core: The native object.
+    """
+
+    def __init__(
+        self,
+        blocks: NDArray[np.void],
+        joints: Sequence[str],
+        period: float,
+        sampling: Sampling = "average",
+    ) -> None:
+        if BLOCK_DTYPE.itemsize != _native.BLOCK_SIZE:
+            raise RuntimeError("the native library was built from another version; reinstall dashpot")
+        self.blocks = np.ascontiguousarray(blocks, BLOCK_DTYPE)
+        if self.blocks.ndim != 1 or not 1 <= len(self.blocks) <= _native.MAX_JOINTS:
+            raise InputError(f"a controller takes 1 to {_native.MAX_JOINTS} blocks", value=self.blocks.shape)
+        if len(joints) != len(self.blocks):
+            raise InputError(f"{len(joints)} joint names for {len(self.blocks)} blocks")
+        for name, block in zip(joints, self.blocks, strict=True):
+            for key in ("A", "B", "C", "D", "E", "bypass", "warm", "blend"):
+                if not np.isfinite(block[key]).all():
+                    raise InputError("must be finite", joint=name, quantity=f"coefficient {key}")
+        self.joints = tuple(joints)
+        self.period = period
+        self.sampling: Sampling = sampling
+        self.core = _native.Core(self.blocks.view(np.uint8))
+        self.inputs = Inputs(*self.core.inputs)
+        self.step = self.core.step
+
+    @classmethod
+    def from_config(cls, config: ControllerConfig, drives: Sequence[Drive]) -> Controller:
+        """Builds the blocks of a controller file for an arm's drives.
+
+        Raises:
+            InputError: A joint of the controller is not one of the robot.
+        """
+        by_name = {drive.name: drive for drive in drives}
+        for gains in config.joints:
+            if gains.name not in by_name:
+                raise InputError(
+                    f"the robot has no such joint; it has {', '.join(by_name)}",
+                    file=config.file,
+                    joint=gains.name,
+                )
+        blocks = [joint_block(g, by_name[g.name], config, file=config.file) for g in config.joints]
+        return cls(np.array(blocks), [g.name for g in config.joints], config.period, config.sampling)
+
+    def index(self, joint: str) -> int:
+        """Position of a joint among the blocks.
+
+        Raises:
+            InputError: The controller has no such joint.
+        """
+        try:
+            return self.joints.index(joint)
+        except ValueError:
+            raise InputError(
+                f"not controlled here; controlled: {', '.join(self.joints)}", joint=joint
+            ) from None
+
+    def set_mode(self, joint: str, mode: Mode) -> None:
+        """Sets a joint off (zero torque), to bypass (position loop only) or active, faded in over `blend`."""
+        if mode not in MODES:
+            raise InputError(f"must be one of {', '.join(MODES)}", joint=joint, quantity="mode", value=mode)
+        self.core.set_mode(self.index(joint), MODES.index(mode))
+
+    def set_position_loop(self, joint: str, on: bool) -> None:
+        """Connects or removes the position loop's torque offset; off, encoder values are not used at all."""
+        self.core.set_position_loop(self.index(joint), on)
+
+    def warm_start(self, joint: str, velocity: float) -> None:
+        """Sets ``xc' = -velocity`` from the last trusted joint velocity [rad/s], so that the brake bites at once."""
+        if not math.isfinite(velocity):
+            raise InputError("must be finite", joint=joint, quantity="velocity [rad/s]", value=velocity)
+        self.core.warm_start(self.index(joint), velocity)
+
+    def reset(self) -> None:
+        """Clears states, delay lines and torques; modes stay."""
+        self.core.reset()
+
+    def state(self, joint: str) -> dict[str, Any]:
+        """Mode, torques [N m], status bits and block states of one joint."""
+        mode, loop, command, in_effect, status, x = self.core.joint_state(self.index(joint))
+        return {
+            "mode": MODES[mode],
+            "position_loop": loop,
+            "command": command,
+            "in_effect": in_effect,
+            "status": status,
+            "x": x,
+        }

@@ -1,0 +1,373 @@
+"""The arm in MuJoCo: any MJCF or URDF with an elastic, friction-laden drive put into each joint.
+
+Each joint becomes two hinges in series on the same body: the rotor (its armature is the rotor inertia,
+its damping the viscous friction) and the transmission spring that carries the link. Coulomb friction,
+hysteresis, backlash, stops, the inner torque loop, the robot's own servo and the torque sensor run in the
+native loop (native/dashpot_runner.c) around ``mj_step``.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh, expm
+
+from dashpot import _native
+from dashpot.drive import Drive
+from dashpot.errors import InputError, InputWarning, ModelError
+from dashpot.robot import Robot
+from dashpot.sampled import Floats
+from dashpot.tables import check_numbers, number
+
+STEEL = 7850.0  # [kg/m^3], density of payload spheres
+STEP_FRACTION = 0.3  # largest product of time step and stiffest natural frequency; about 1 % error in it
+
+_STATE = ["friction_z", "hysteresis_z", "tau", "filter_x0", "filter_x1", "sum", "integral", "motor"]
+_STATE += ["measured_tau", "friction", "inner_torque", "inner_correction", "asked"]
+DRIVE_DTYPE = np.dtype(
+    [
+        *((name, "f8") for name in ("stiffness", "damping", "half_gap", "hysteresis", "hysteresis_stiffness")),
+        *((name, "f8") for name in ("coulomb", "presliding_stiffness", "presliding_damping")),
+        *((name, "f8") for name in ("stop_lower", "stop_upper", "stop_stiffness", "stop_damping")),
+        *((name, "f8") for name in ("torque_limit", "actuator_gain", "inner_gain", "inner_pole")),
+        *((name, "f8") for name in ("servo_kp", "servo_kd", "servo_ki", "servo_limit")),
+        *((name, "f8") for name in ("sensor_gain", "sensor_bias", "sensor_noise", "sensor_resolution")),
+        ("filter_a", "f8", (2, 2)),
+        ("filter_b", "f8", (2,)),
+        ("position_resolution", "f8"),
+        *((name, "i4") for name in ("rotor_qpos", "rotor_dof", "spring_qpos", "spring_dof", "control")),
+        *((name, "i4") for name in ("average", "filtered", "sensor_delay", "inner_steps", "reserved")),
+        *((name, "f8") for name in _STATE),
+        ("delay", "f8", (_native.MAX_DELAY,)),
+        ("rng", "u8"),
+    ],
+    align=True,
+)
+"""Layout of ``dp_drive`` in native/dashpot_runner.h."""
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A weight on the flange: a steel sphere at an offset, or a rod that reaches from it.
+
+    Attributes:
+        mass: [kg].
+        offset: Centre of mass in the flange frame, (x, y, z) [m]; a number means along x.
+        length: Length of a slender rod centred there, along the offset [m]; 0: a sphere.
+    """
+
+    mass: float = number("kg", 0, 1e4, typical=(0.01, 500), kw_only=False)
+    offset: float | tuple[float, float, float] = 0.0
+    length: float = number("m", 0, 10, default=0.0)
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        xyz = np.asarray(self.offset, float)
+        if xyz.shape not in ((), (3,)) or not np.isfinite(xyz).all() or np.abs(xyz).max() > 10:
+            raise InputError(
+                "must be a number or (x, y, z) within 10 m", quantity="payload offset [m]", value=self.offset
+            )
+
+    @property
+    def position(self) -> Floats:
+        """Centre of mass in the flange frame, (3,) [m]."""
+        xyz = np.asarray(self.offset, float)
+        return np.array([float(xyz), 0.0, 0.0]) if xyz.ndim == 0 else xyz
+
+
+@dataclass
+class Plant:
+    """An arm ready to simulate.
+
+    Attributes:
+        robot: The arm it was built from.
+        model: The MuJoCo model; its time step is set.
+        drives: (n,) records of `DRIVE_DTYPE`.
+        timestep: Physics step [s].
+        stiffest: Highest natural frequency of the elastic joints [rad/s], which set the step.
+        step_said: One line that says how the step was chosen.
+    """
+
+    robot: Robot
+    model: Any
+    drives: NDArray[np.void]
+    timestep: float
+    stiffest: float
+    step_said: str
+
+    @property
+    def rotor_qpos(self) -> NDArray[np.int32]:
+        """Indices of the rotor angles in qpos, (n,)."""
+        return np.array(self.drives["rotor_qpos"])
+
+    @property
+    def rotor_dof(self) -> NDArray[np.int32]:
+        """Indices of the rotor velocities in qvel, (n,)."""
+        return np.array(self.drives["rotor_dof"])
+
+    @property
+    def spring_dof(self) -> NDArray[np.int32]:
+        """Indices of the deflection rates in qvel, (n,)."""
+        return np.array(self.drives["spring_dof"])
+
+    def load_torque(self, q: Floats) -> Floats:
+        """Gravity torque each joint must hold at rest at pose ``q`` (n,) [rad]: (n,) [N m]."""
+        data = mujoco.MjData(self.model)
+        data.qpos[self.rotor_qpos] = q
+        mujoco.mj_forward(self.model, data)
+        return np.array(data.qfrc_bias[self.rotor_dof])
+
+
+def load_spec(robot: Robot) -> tuple[Any, Any]:
+    """The robot's model file without actuators, sensors and keyframes: (MjSpec, MjModel).
+
+    Meshes that are not there are left out where every body has its own inertia.
+
+    Raises:
+        ModelError: The file is missing or MuJoCo cannot read it.
+    """
+    path = robot.model
+    if path is None:
+        raise ModelError(f"{robot.file}: model: missing key; simulation needs a MJCF or URDF file")
+    if not Path(path).is_file():
+        raise ModelError(f"{robot.file}: model = {str(path)!r}: no such file")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except Exception as error:  # MuJoCo raises several types
+        raise ModelError(f"{path}: MuJoCo cannot read it: {_one_line(error)}") from None
+    for group in (spec.actuators, spec.sensors, spec.keys):
+        for element in list(group):
+            spec.delete(element)
+    try:
+        return spec, spec.copy().compile()
+    except Exception as error:
+        reason = _one_line(error)
+    for geom in list(spec.geoms):
+        if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+            spec.delete(geom)
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+    try:
+        model = spec.copy().compile()
+    except Exception:
+        raise ModelError(f"{path}: MuJoCo cannot compile it: {reason}") from None
+    warnings.warn(f"{path}: used without its meshes: {reason}", InputWarning, stacklevel=2)
+    return spec, model
+
+
+def _one_line(error: BaseException) -> str:
+    return "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
+
+
+def _insert_drive(spec: Any, rigid: Any, drive: Drive, path: Path | None) -> tuple[float, float]:
+    """Turns a hinge of the rigid arm into rotor and spring; returns the joint's range [rad]."""
+    joint = spec.joint(drive.name)
+    if joint is None:
+        hinges = [j.name for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_HINGE]
+        raise ModelError(f"{path}: joint {drive.name!r}: not in the model; its hinges: {', '.join(hinges) or 'none'}")
+    if joint.type != mujoco.mjtJoint.mjJNT_HINGE:
+        raise ModelError(f"{path}: joint {drive.name!r}: must be a hinge")
+    body = joint.parent
+    if len(body.joints) != 1:
+        raise ModelError(f"{path}: joint {drive.name!r}: must be the only joint of its body {body.name!r}")
+    inner = 1.0 + (drive.inner_loop.gain if drive.inner_loop else 0.0)
+    joint.armature = drive.rotor_inertia * inner
+    joint.damping[0] = drive.viscous_friction * inner
+    joint.stiffness[0] = joint.frictionloss = 0.0
+    joint.limited = 0
+    compiled = rigid.joint(drive.name)
+    spring = body.add_joint(name=f"{drive.name}/transmission", type=mujoco.mjtJoint.mjJNT_HINGE)
+    spring.pos, spring.axis = compiled.pos, compiled.axis
+    spring.stiffness[0], spring.damping[0] = drive.stiffness, drive.damping
+    spring.armature = spring.frictionloss = 0.0
+    spring.limited = 0
+    limited = rigid.jnt_limited[compiled.id]
+    return tuple(float(r) for r in compiled.range) if limited else (-math.inf, math.inf)
+
+
+def _hang(spec: Any, rigid: Any, robot: Robot, payloads: Sequence[Payload]) -> None:
+    """Attaches the payloads to the flange."""
+    body, pos, quat = spec.joint(robot.joints[-1]).parent, np.zeros(3), np.array([1.0, 0, 0, 0])
+    if robot.flange is not None:
+        if spec.site(robot.flange) is None:
+            known = ", ".join(s.name for s in spec.sites) or "none"
+            raise ModelError(f"{robot.file}: flange = {robot.flange!r}: no such site in {robot.model}; sites: {known}")
+        site = rigid.site(robot.flange)
+        body, pos, quat = spec.site(robot.flange).parent, site.pos, site.quat
+    for i, load in enumerate(payloads):
+        if load.mass == 0:
+            continue
+        child = body.add_body(name=f"payload{i}", pos=pos, quat=quat)
+        centre = load.position
+        radius = (3 * load.mass / (4 * math.pi * STEEL)) ** (1 / 3)
+        inertia = np.full(3, 0.4 * load.mass * radius**2)
+        child.mass, child.ipos, child.explicitinertial = load.mass, centre, True
+        reach = np.linalg.norm(centre)
+        if load.length > 0 and reach > 0:
+            along = centre / reach
+            tip = along * load.length / 2
+            radius = max(math.sqrt(load.mass / (STEEL * math.pi * load.length)), 0.004)
+            full = load.mass * load.length**2 / 12 * (np.eye(3) - np.outer(along, along))
+            full += 0.5 * load.mass * radius**2 * np.outer(along, along)
+            child.fullinertia = full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+            child.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                size=[radius, 0, 0],
+                fromto=[*(centre - tip), *(centre + tip)],
+                rgba=[0.3, 0.3, 0.33, 1],
+                contype=0,
+                conaffinity=0,
+            )
+        else:
+            child.inertia = inertia
+            child.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                size=[radius, 0, 0],
+                pos=centre,
+                rgba=[0.84, 0.37, 0.0, 1],
+                contype=0,
+                conaffinity=0,
+            )
+
+
+def stiffest_mode(model: Any, drives: NDArray[np.void], poses: Sequence[Floats]) -> float:
+    """Highest natural frequency of rotors against links over some poses [rad/s]."""
+    data = mujoco.MjData(model)
+    stiffness = np.zeros((model.nv, model.nv))
+    spring = drives["spring_dof"]
+    stiffness[spring, spring] = drives["stiffness"]
+    highest = 0.0
+    for q in poses:
+        data.qpos[drives["rotor_qpos"]] = q
+        mass = full_mass(model, data)
+        # With an inner torque loop closed the rotor looks (1 + gain) times lighter.
+        rotor = drives["rotor_dof"]
+        armature = model.dof_armature[rotor]
+        mass[rotor, rotor] += armature / (1 + drives["inner_gain"]) - armature
+        highest = max(highest, float(eigh(stiffness, mass, eigvals_only=True)[-1]))
+    return math.sqrt(highest)
+
+
+def full_mass(model: Any, data: Any) -> Floats:
+    """Joint-space mass matrix at data.qpos, (nv, nv) [kg m^2]."""
+    mujoco.mj_forward(model, data)
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    return mass
+
+
+def _drive_records(model: Any, robot: Robot, ranges: Sequence[tuple[float, float]]) -> NDArray[np.void]:
+    """The drives as the native loop wants them, all but what depends on the time step."""
+    records = np.zeros(len(robot.drives), DRIVE_DTYPE)
+    data = mujoco.MjData(model)
+    data.qpos[[model.joint(name).qposadr[0] for name in robot.joints]] = robot.home
+    inertia = np.diag(full_mass(model, data))
+    for record, drive, (lower, upper) in zip(records, robot.drives, ranges, strict=True):
+        rotor, spring = model.joint(drive.name), model.joint(f"{drive.name}/transmission")
+        inner = drive.inner_loop.gain if drive.inner_loop else 0.0
+        record["stiffness"], record["damping"] = drive.stiffness, drive.damping
+        record["half_gap"] = drive.backlash / 2
+        record["hysteresis"], record["hysteresis_stiffness"] = drive.hysteresis, drive.stiffness
+        record["coulomb"] = drive.coulomb_friction * (1 + inner)
+        # Presliding about as stiff as the transmission: a stuck rotor moves by less than tau_c / k.
+        record["presliding_stiffness"] = drive.stiffness
+        record["presliding_damping"] = 0.4 * math.sqrt(drive.stiffness * drive.rotor_inertia)
+        record["stop_lower"], record["stop_upper"] = lower, upper
+        record["stop_stiffness"] = 0.5 * drive.stiffness
+        light = min(drive.rotor_inertia, inertia[spring.dofadr[0]])
+        record["stop_damping"] = 0.5 * math.sqrt(0.5 * drive.stiffness * light)
+        record["torque_limit"], record["actuator_gain"] = drive.torque_limit, 1.0
+        record["inner_gain"] = inner
+        if drive.servo:
+            record["servo_kp"], record["servo_kd"] = drive.servo.kp, drive.servo.kd
+            record["servo_ki"] = drive.servo.ki
+        record["servo_limit"] = drive.torque_limit
+        record["sensor_gain"] = 1 + drive.torque_scale_error
+        record["sensor_bias"], record["sensor_noise"] = drive.torque_bias, drive.torque_noise
+        record["sensor_resolution"] = drive.torque_resolution
+        record["position_resolution"] = drive.position_resolution
+        record["rotor_qpos"], record["rotor_dof"] = rotor.qposadr[0], rotor.dofadr[0]
+        record["spring_qpos"], record["spring_dof"] = spring.qposadr[0], spring.dofadr[0]
+        record["control"] = -1
+        record["inner_steps"] = 1
+    return records
+
+
+def _set_step(records: NDArray[np.void], robot: Robot, dt: float) -> None:
+    """Fills in what depends on the time step: sensor filter, sensor delay, inner loop."""
+    for record, drive in zip(records, robot.drives, strict=True):
+        if drive.sensor_bandwidth is not None:
+            omega, zeta = 2 * math.pi * drive.sensor_bandwidth, drive.sensor_damping
+            # States: filtered torque and its rate over omega; exact for an input held over the step.
+            A = omega * np.array([[0.0, 1.0, 0.0], [-1.0, -2 * zeta, 1.0], [0.0, 0.0, 0.0]])
+            exact = expm(A * dt)
+            record["filter_a"], record["filter_b"] = exact[:2, :2], exact[:2, 2]
+            record["filtered"] = 1
+        delay = round(drive.torque_latency / dt)
+        if delay > _native.MAX_DELAY:
+            raise InputError(
+                f"exceeds {_native.MAX_DELAY} physics steps of {dt * 1e6:.0f} us",
+                file=robot.file,
+                joint=drive.name,
+                quantity="torque_latency [s]",
+                value=drive.torque_latency,
+            )
+        record["sensor_delay"] = delay
+        if drive.inner_loop:
+            record["inner_steps"] = max(1, round(drive.inner_loop.period / dt))
+            corner = 2 * math.pi * drive.inner_loop.bandwidth
+            record["inner_pole"] = math.exp(-corner * dt)
+
+
+def build(robot: Robot, period: float, payloads: Sequence[Payload] = ()) -> Plant:
+    """Builds the elastic arm with its payloads.
+
+    The time step divides the control period and is at most 0.3 / (stiffest natural frequency).
+
+    Args:
+        robot: The arm.
+        period: Control period [s].
+        payloads: Weights on the flange.
+
+    Raises:
+        ModelError: The model file, a joint or the flange site is missing or unusable.
+        InputError: A drive value cannot be simulated at this step.
+    """
+    if DRIVE_DTYPE.itemsize != _native.DRIVE_SIZE:
+        raise RuntimeError("the native library was built from another version; reinstall dashpot")
+    if len(robot.drives) > _native.MAX_JOINTS:
+        raise InputError(f"at most {_native.MAX_JOINTS} joints can be simulated", file=robot.file)
+    spec, rigid = load_spec(robot)
+    ranges = [_insert_drive(spec, rigid, drive, robot.model) for drive in robot.drives]
+    _hang(spec, rigid, robot, payloads)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # A diverging run must be reported, not silently reset; the plant has no contacts yet.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    try:
+        model = spec.compile()
+    except Exception as error:
+        raise ModelError(f"{robot.model}: MuJoCo cannot compile the elastic arm: {_one_line(error)}") from None
+    order = [model.joint(name).id for name in robot.joints]
+    if order != sorted(order):
+        raise ModelError(f"{robot.file}: joints must be listed base to tip, as in {robot.model}")
+    records = _drive_records(model, robot, ranges)
+    spread = np.random.default_rng(0).uniform(-1, 1, (4, len(order)))  # poses around home; any will do
+    poses = [np.array(robot.home), *(np.array(robot.home) + spread)]
+    stiffest = stiffest_mode(model, records, poses)
+    steps = math.ceil(period * stiffest / STEP_FRACTION)
+    dt = period / steps
+    model.opt.timestep = dt
+    _set_step(records, robot, dt)
+    said = (
+        f"physics step {dt * 1e6:.1f} us = period / {steps}: at most {STEP_FRACTION} / "
+        f"(stiffest mode {stiffest:.0f} rad/s)"
+    )
+    return Plant(robot, model, records, dt, stiffest, said)

@@ -1,0 +1,117 @@
+"""An arm: a MJCF or URDF model and the drives of its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dashpot.drive import Drive
+from dashpot.errors import InputError
+from dashpot.tables import check_keys, read_toml
+
+BUNDLED = ("k807", "fr3", "iiwa14")
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A torque-sensed arm.
+
+    Attributes:
+        name: Its name.
+        drives: One per joint, base to tip.
+        model: MJCF or URDF file, or None where only the drives are known.
+        flange: Site of the model that payloads hang on; None: the frame of the last joint's body.
+        home: Working pose, (n,) [rad].
+        file: The TOML it was read from.
+    """
+
+    name: str
+    drives: tuple[Drive, ...]
+    model: Path | None = None
+    flange: str | None = None
+    home: tuple[float, ...] = ()
+    file: Path | None = None
+
+    def __post_init__(self) -> None:
+        names = self.joints
+        if not names:
+            raise InputError("a robot needs at least one [[joint]]", file=self.file)
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError("is listed twice", file=self.file, joint=name)
+        if not self.home:
+            object.__setattr__(self, "home", (0.0,) * len(names))
+        if len(self.home) != len(names) or not np.isfinite(self.home).all():
+            raise InputError(
+                f"must be {len(names)} finite angles [rad], one per joint",
+                file=self.file,
+                quantity="home",
+                value=list(self.home),
+            )
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joint names, base to tip."""
+        return tuple(drive.name for drive in self.drives)
+
+    @classmethod
+    def load(cls, source: str | Path) -> Robot:
+        """Reads a robot TOML, or a bundled arm by name (`BUNDLED`).
+
+        Args:
+            source: Path of a TOML file (see README, "Files"), or "k807", "fr3", "iiwa14".
+
+        Raises:
+            InputError: Naming file, joint, key, value and rule.
+        """
+        if str(source) in BUNDLED:
+            path = Path(str(files("dashpot") / "robots" / f"{source}.toml"))
+        else:
+            path = Path(source)
+            if not path.exists() and path.suffix != ".toml":
+                raise InputError(f"neither a file nor a bundled robot ({', '.join(BUNDLED)})", quantity=str(source))
+        table = read_toml(path)
+        check_keys(table, {"name", "model", "flange", "home", "joint"}, {"name", "joint"}, file=path)
+        for key in ("name", "model", "flange"):
+            if not isinstance(table.get(key, ""), str):
+                raise InputError("must be a string", file=path, quantity=key, value=table[key])
+        entries, home = table["joint"], table.get("home", [])
+        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+            raise InputError("must be [[joint]] tables", file=path, quantity="joint")
+        if not isinstance(home, list) or not all(type(q) in (int, float) for q in home):
+            raise InputError("must be a list of angles [rad]", file=path, quantity="home", value=home)
+        return cls(
+            name=table["name"],
+            drives=tuple(Drive.from_table(entry, file=path) for entry in entries),
+            model=path.parent / table["model"] if "model" in table else None,
+            flange=table.get("flange"),
+            home=tuple(float(q) for q in home),
+            file=path,
+        )
+
+    def index(self, joint: str) -> int:
+        """Position of a joint, base to tip.
+
+        Raises:
+            InputError: The robot has no such joint.
+        """
+        if joint not in self.joints:
+            raise InputError(f"no such joint; it has {', '.join(self.joints)}", file=self.file, joint=joint)
+        return self.joints.index(joint)
+
+    def with_drives(self, changes: Mapping[str, Mapping[str, Any]]) -> Robot:
+        """A copy with some drive values replaced: ``{"joint5": {"coulomb_friction": 0.5}}``.
+
+        Raises:
+            InputError: An unknown joint or an invalid value.
+        """
+        drives = list(self.drives)
+        for joint, values in changes.items():
+            i = self.index(joint)
+            drives[i] = replace(drives[i], **values)
+        return replace(self, drives=tuple(drives))

@@ -1,0 +1,326 @@
+"""Closed-loop simulation: scenarios in, recordings out, at native speed and on several threads."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dashpot import _native
+from dashpot.controller import MODES, Controller, ControllerConfig
+from dashpot.errors import DashpotError, InputError
+from dashpot.plant import Payload, Plant, build
+from dashpot.robot import Robot
+from dashpot.sampled import Floats
+from dashpot.trajectory import Trajectory
+
+CHANNELS = (
+    "position",
+    "velocity",
+    "link_position",
+    "link_velocity",
+    "torque",
+    "sample",
+    "command",
+    "in_effect",
+)
+"""Arrays of a `Recording`, in the order of native/dashpot_runner.h."""
+
+EVENT_DTYPE = np.dtype([("tick", "i4"), ("joint", "i4"), ("kind", "i4"), ("value", "i4")])
+EventKind = Literal["mode", "position_loop", "warm_start"]
+_KINDS = {"mode": 0, "position_loop": 1, "warm_start": 2}
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something done to the controller at a time.
+
+    Attributes:
+        time: [s], on the trajectory's clock.
+        joint: Joint name, or "all": every controlled joint.
+        kind: "mode" (value "off", "bypass" or "active"), "position_loop" (value True or False), or
+            "warm_start" (from the joint's true velocity at that time).
+        value: See kind.
+    """
+
+    time: float
+    joint: str
+    kind: EventKind
+    value: str | bool = True
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One closed-loop run.
+
+    Attributes:
+        plant: The arm with its payload (`dashpot.plant.build`), for the controller's period.
+        controller: The controller, or None: every joint under the robot's own servo.
+        trajectory: References; the arm starts at rest at their first position.
+        events: In any order.
+        external: Torque on each link, (ticks, n) [N m], or None.
+        seed: Seed of the sensor noise.
+        label: For messages.
+    """
+
+    plant: Plant
+    controller: Controller | None
+    trajectory: Trajectory
+    events: Sequence[Event] = ()
+    external: Floats | None = None
+    seed: int = 0
+    label: str = ""
+
+
+@dataclass
+class Recording:
+    """What happened, at the control ticks. Joint order is the robot's, base to tip.
+
+    Attributes:
+        joints: Names, n of them.
+        time: (ticks,) [s].
+        reference: Position reference, (ticks, n) [rad].
+        position: Rotor angle as the position loop reads it, (ticks, n) [rad].
+        velocity: Its rate, (ticks, n) [rad/s].
+        link_position: Link angle, (ticks, n) [rad].
+        link_velocity: (ticks, n) [rad/s].
+        torque: Torque transmitted to the link, true, (ticks, n) [N m].
+        sample: Torque sample given to the controller, (ticks, n) [N m].
+        command: Torque commanded at this tick, (ticks, n) [N m]; a servo joint's last torque.
+        in_effect: Torque asked of the drive over the coming period, (ticks, n) [N m].
+        status: Or-ed controller statuses, (ticks,).
+        diverged_at: Time at which the simulation blew up [s], or None; later rows are NaN.
+        settings: What made it: robot, period, time step, seed, label.
+    """
+
+    joints: tuple[str, ...]
+    time: Floats
+    reference: Floats
+    position: Floats
+    velocity: Floats
+    link_position: Floats
+    link_velocity: Floats
+    torque: Floats
+    sample: Floats
+    command: Floats
+    in_effect: Floats
+    status: NDArray[np.int32]
+    diverged_at: float | None = None
+    settings: dict[str, object] = field(default_factory=dict)
+
+    def save(self, path: str | Path) -> Path:
+        """Writes a ``.npz``; an interrupted write leaves no file."""
+        path = Path(path)
+        arrays = {name: getattr(self, name) for name in ("time", "reference", "status", *CHANNELS)}
+        header = {"joints": self.joints, "diverged_at": self.diverged_at, "settings": self.settings}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".npz")
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                np.savez_compressed(stream, header=np.array(json.dumps(header)), **arrays)
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> Recording:
+        """Reads what `save` wrote.
+
+        Raises:
+            InputError: The file is missing or not a recording.
+        """
+        try:
+            with np.load(path) as archive:
+                header = json.loads(str(archive["header"]))
+                arrays = {name: archive[name] for name in ("time", "reference", "status", *CHANNELS)}
+        except FileNotFoundError:
+            raise InputError("no such file", file=path) from None
+        except (OSError, ValueError, KeyError):
+            raise InputError("not a dashpot recording", file=path) from None
+        header["joints"] = tuple(header["joints"])
+        return cls(**header, **arrays)
+
+
+@cache
+def _mj_step() -> int:
+    """Address of ``mj_step`` in the library the mujoco package loaded."""
+    folder = Path(mujoco.__file__).parent
+    for path in sorted([*folder.glob("libmujoco*"), *folder.glob("mujoco.dll")]):
+        address = ctypes.cast(ctypes.CDLL(str(path)).mj_step, ctypes.c_void_p).value
+        if address:
+            return address
+    raise DashpotError(f"{folder}: no MuJoCo library with mj_step; reinstall mujoco")
+
+
+def _events(scenario: Scenario) -> NDArray[np.void]:
+    controller, trajectory = scenario.controller, scenario.trajectory
+    rows: list[tuple[int, int, int, int]] = []
+    for event in scenario.events:
+        if controller is None:
+            raise InputError("events need a controller", quantity=event.kind)
+        tick = round((event.time - trajectory.start) / trajectory.period)
+        if not 0 <= tick < len(trajectory.position):
+            raise InputError(
+                f"outside the trajectory, {trajectory.time[0]:g} to {trajectory.time[-1]:g} s",
+                joint=event.joint,
+                quantity="event time [s]",
+                value=event.time,
+            )
+        value = MODES.index(str(event.value)) if event.kind == "mode" else int(bool(event.value))
+        names = controller.joints if event.joint == "all" else (event.joint,)
+        rows += [(tick, controller.index(name), _KINDS[event.kind], value) for name in names]
+    rows.sort(key=lambda row: row[0])
+    return np.array(rows, EVENT_DTYPE)
+
+
+def run(scenario: Scenario) -> Recording:
+    """Runs one scenario; the same scenario gives the same bits on any number of threads.
+
+    Raises:
+        InputError: Periods, shapes or joints of plant, controller and trajectory do not fit together.
+    """
+    plant, controller, trajectory = scenario.plant, scenario.controller, scenario.trajectory
+    n, ticks, period = len(plant.drives), len(trajectory.position), trajectory.period
+    steps = round(period / plant.timestep)
+    if abs(steps * plant.timestep - period) > 1e-9 * period or steps < 1:
+        raise InputError(
+            f"must be a multiple of the plant's time step {plant.timestep:g} s; build the plant with it",
+            quantity="period [s]",
+            value=period,
+        )
+    if controller is not None and abs(controller.period - period) > 1e-12:
+        raise InputError(
+            f"differs from the controller's {controller.period:g} s", quantity="trajectory period [s]", value=period
+        )
+    if trajectory.position.shape != (ticks, n):
+        raise InputError(f"must have shape ({ticks}, {n})", quantity="trajectory", value=trajectory.position.shape)
+    external = scenario.external
+    if external is not None:
+        external = np.ascontiguousarray(external, float)
+        if external.shape != (ticks, n) or not np.isfinite(external).all():
+            raise InputError(f"must be finite and have shape ({ticks}, {n})", quantity="external torque [N m]")
+    drives = plant.drives.copy()
+    core = None
+    if controller is not None:
+        # A fresh native controller: scenarios that share one must not share its state.
+        core = _native.Core(controller.blocks.view(np.uint8))
+        for i, name in enumerate(controller.joints):
+            drives["control"][plant.robot.index(name)] = i
+        drives["average"] = controller.sampling == "average"
+    for drive, spec in zip(drives, plant.robot.drives, strict=True):
+        if drive["control"] < 0 and spec.servo is None:
+            raise InputError(
+                "is neither in the controller nor has it a servo; add one or the other",
+                file=plant.robot.file,
+                joint=spec.name,
+            )
+    drives["rng"] = np.random.SeedSequence(scenario.seed).generate_state(n, np.uint64)
+    data = mujoco.MjData(plant.model)
+    data.qpos[plant.rotor_qpos] = trajectory.position[0]
+    mujoco.mj_forward(plant.model, data)
+    reference = np.stack(
+        [trajectory.position, trajectory.velocity, trajectory.acceleration, np.zeros((ticks, n))]
+    )
+    record = np.full((len(CHANNELS), ticks, n), np.nan)
+    status = np.zeros(ticks, np.int32)
+    outcome, tick = _native.run(
+        core,
+        drives.view(np.uint8),
+        _events(scenario).view(np.uint8),
+        _mj_step(),
+        plant.model._address,
+        data._address,
+        data.qpos,
+        data.qvel,
+        data.qfrc_applied,
+        plant.timestep,
+        steps,
+        ticks,
+        np.ascontiguousarray(reference),
+        external,
+        record,
+        status,
+    )
+    time = trajectory.time
+    settings: dict[str, object] = {
+        "robot": plant.robot.name,
+        "period": period,
+        "timestep": plant.timestep,
+        "seed": scenario.seed,
+        "label": scenario.label,
+    }
+    return Recording(
+        plant.robot.joints,
+        time,
+        trajectory.position,
+        **dict(zip(CHANNELS, record, strict=True)),
+        status=status,
+        diverged_at=float(time[tick]) if outcome else None,
+        settings=settings,
+    )
+
+
+def run_many(
+    scenarios: Iterable[Scenario],
+    *,
+    threads: int | None = None,
+    progress: str | None = None,
+    reduce: Callable[[Scenario, Recording], object] | None = None,
+) -> list[object]:
+    """Runs scenarios on threads (the native loop releases the GIL) and returns results in order.
+
+    Args:
+        scenarios: What to run.
+        threads: Number of threads; None: one per core.
+        progress: Label of a progress bar on the terminal; None: none.
+        reduce: Applied to each scenario and its recording on the thread; None: keep the recordings.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    todo = list(scenarios)
+
+    def work(scenario: Scenario) -> object:
+        recording = run(scenario)
+        return reduce(scenario, recording) if reduce else recording
+
+    columns = (TextColumn("{task.description:<34}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with (
+        Progress(*columns, console=console, disable=progress is None or not console.is_terminal) as bar,
+        ThreadPoolExecutor(threads or os.cpu_count()) as pool,
+    ):
+        task = bar.add_task(progress or "", total=len(todo))
+        results = []
+        for result in pool.map(work, todo):
+            results.append(result)
+            bar.advance(task)
+    return results
+
+
+def simulate(
+    robot: Robot,
+    config: ControllerConfig | None,
+    trajectory: Trajectory,
+    *,
+    payloads: Sequence[Payload] = (),
+    events: Sequence[Event] = (),
+    seed: int = 0,
+) -> Recording:
+    """Builds the plant and the controller and runs once: the short way for one scenario."""
+    plant = build(robot, trajectory.period, payloads)
+    controller = Controller.from_config(config, robot.drives) if config else None
+    return run(Scenario(plant, controller, trajectory, events, seed=seed))

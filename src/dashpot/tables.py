@@ -1,0 +1,161 @@
+"""Checked TOML tables: dataclass fields that carry their unit and their valid range."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import tomllib
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from dashpot.errors import InputError, InputWarning
+
+T = TypeVar("T")
+
+
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """Unit and limits of a number.
+
+    Attributes:
+        unit: SI unit, as printed in messages.
+        low: Smallest valid value.
+        high: Largest valid value; beyond it the unit must be wrong.
+        open_low: Whether ``low`` itself is invalid.
+        typical: Range outside which a warning asks whether the unit is right; zero never warns.
+    """
+
+    unit: str
+    low: float
+    high: float
+    open_low: bool = False
+    typical: tuple[float, float] | None = None
+
+    @property
+    def rule(self) -> str:
+        """The rule in words."""
+        if self.low == 0 and math.isinf(self.high):
+            return "must be positive" if self.open_low else "must not be negative"
+        return f"must be {'above' if self.open_low else 'at least'} {self.low:g} and at most {self.high:g}"
+
+
+def number(
+    unit: str,
+    low: float = 0.0,
+    high: float = math.inf,
+    *,
+    open_low: bool = False,
+    typical: tuple[float, float] | None = None,
+    default: Any = dataclasses.MISSING,
+    kw_only: bool = True,
+) -> Any:
+    """A dataclass field holding a number with a unit and a valid range (see `Range`)."""
+    return dataclasses.field(
+        default=default, metadata={"range": Range(unit, low, high, open_low, typical)}, kw_only=kw_only
+    )
+
+
+def check_numbers(record: Any, *, file: object = None, joint: str | None = None) -> None:
+    """Checks every `number` field of a dataclass instance.
+
+    Raises:
+        InputError: A value is not a finite number (an infinite limit is allowed where the range is open
+            upwards and the default is infinite) or lies outside its range.
+
+    Warns:
+        InputWarning: A value lies far outside what such quantities are on real robots.
+    """
+    for f in dataclasses.fields(record):
+        limits: Range | None = f.metadata.get("range")
+        value = getattr(record, f.name)
+        if limits is None or (value is None and f.default is None):
+            continue
+        where: dict[str, Any] = {
+            "file": file,
+            "joint": joint,
+            "quantity": f"{f.name} [{limits.unit}]",
+            "value": value,
+        }
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError("must be a number", **where)
+        unlimited = math.isinf(value) and value > 0 and f.default == math.inf
+        if not math.isfinite(value) and not unlimited:
+            raise InputError("must be finite", **where)
+        too_low = value <= limits.low if limits.open_low else value < limits.low
+        if too_low or (value > limits.high and not unlimited):
+            raise InputError(f"{limits.rule} {limits.unit}", **where)
+        if limits.typical and value != 0 and not unlimited:
+            low, high = limits.typical
+            if not low <= abs(value) <= high:
+                message = InputError(
+                    f"is unusual (real joints: {low:g} to {high:g} {limits.unit}); check the unit: "
+                    "SI, on the link side of the gear",
+                    **where,
+                )
+                warnings.warn(str(message), InputWarning, stacklevel=3)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Reads a TOML file.
+
+    Raises:
+        InputError: The file is missing, unreadable or not TOML.
+    """
+    try:
+        with path.open("rb") as stream:
+            return tomllib.load(stream)
+    except FileNotFoundError:
+        raise InputError("no such file", file=path) from None
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", file=path) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"not valid TOML: {error}", file=path) from None
+
+
+def check_keys(
+    table: Mapping[str, Any],
+    allowed: set[str],
+    required: set[str],
+    *,
+    file: object = None,
+    joint: str | None = None,
+) -> None:
+    """Checks that a table has every required key and no unknown one.
+
+    Raises:
+        InputError: Naming the key, with the nearest valid spelling where there is one.
+    """
+    for key in table:
+        if key not in allowed:
+            near = difflib.get_close_matches(key, allowed, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(sorted(allowed))}"
+            raise InputError(f"unknown key{hint}", file=file, joint=joint, quantity=key)
+    missing = sorted(required - table.keys())
+    if missing:
+        raise InputError(f"missing key{'s' if len(missing) > 1 else ''}: {', '.join(missing)}", file=file, joint=joint)
+
+
+def from_table(cls: type[T], table: Mapping[str, Any], *, file: object = None, joint: str | None = None) -> T:
+    """Builds a dataclass of numbers and strings from a TOML table, checking keys and ranges.
+
+    Raises:
+        InputError: See `check_keys` and `check_numbers`.
+    """
+    fields = dataclasses.fields(cls)  # type: ignore[arg-type]
+    required = {
+        f.name
+        for f in fields
+        if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
+    }
+    check_keys(table, {f.name for f in fields}, required, file=file, joint=joint)
+    values = {
+        f.name: float(v) if "range" in f.metadata and type(v) is int else v
+        for f in fields
+        if (v := table.get(f.name)) is not None
+    }
+    record = cls(**values)
+    check_numbers(record, file=file, joint=joint)
+    return record

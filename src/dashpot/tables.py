@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import numbers
 import tomllib
 import warnings
 from collections.abc import Mapping
@@ -70,7 +71,7 @@ def check_numbers(record: Any, *, file: object = None, joint: str | None = None)
     """
     for f in dataclasses.fields(record):
         limits: Range | None = f.metadata.get("range")
-        value = getattr(record, f.name)
+        value: Any = getattr(record, f.name)
         if limits is None or (value is None and f.default is None):
             continue
         where: dict[str, Any] = {
@@ -79,7 +80,7 @@ def check_numbers(record: Any, *, file: object = None, joint: str | None = None)
             "quantity": f"{f.name} [{limits.unit}]",
             "value": value,
         }
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if isinstance(value, bool) or not isinstance(value, numbers.Real):
             raise InputError("must be a number", **where)
         unlimited = math.isinf(value) and value > 0 and f.default == math.inf
         if not math.isfinite(value) and not unlimited:

@@ -115,7 +115,7 @@ NB_MODULE(_native, m) {
                  const dp_block *blocks = blocks_of(raw, n);
                  new (self) Core();
                  if (dp_init(&self->c, blocks, n) != 0)
-                     throw std::invalid_argument("number of joints, states or latency out of range");
+                     throw std::invalid_argument("number of joints, states, latency, blend or a limit out of range");
              })
         .def_prop_ro("n", [](const Core &s) { return s.c.n; })
         .def_prop_ro("inputs",
@@ -127,17 +127,25 @@ NB_MODULE(_native, m) {
                  if (out.size() != static_cast<size_t>(s.c.n))
                      throw std::invalid_argument("out must have one element per joint");
                  return dp_step(&s.c, s.in, out.data());
-             })
+             },
+             nb::arg("out").noconvert())  // a converted copy would swallow the torques
         .def("step",
              [](Core &s, Array in, Vector out) {
                  if (in.size() != static_cast<size_t>(s.c.n) * DP_NIN || out.size() != static_cast<size_t>(s.c.n))
                      throw std::invalid_argument("inputs must have shape (7, n) and out (n,)");
                  return dp_step(&s.c, in.data(), out.data());
-             })
+             },
+             nb::arg("inputs"), nb::arg("out").noconvert())
         .def("reset", [](Core &s) { dp_reset(&s.c); })
         .def("set_mode", [](Core &s, int j, int mode) { dp_set_mode(&s.c, check_joint(s, j), mode); })
         .def("set_position_loop", [](Core &s, int j, bool on) { dp_set_position_loop(&s.c, check_joint(s, j), on); })
         .def("warm_start", [](Core &s, int j, double v) { dp_warm_start(&s.c, check_joint(s, j), v); })
+        .def("preset",
+             [](Core &s, int j, Vector x, double torque) {
+                 if (x.size() != static_cast<size_t>(DP_NX))
+                     throw std::invalid_argument("x must have one element per state of a block");
+                 dp_preset(&s.c, check_joint(s, j), x.data(), torque);
+             })
         .def("joint_state",
              [](const Core &s, int j) {
                  const dp_state &t = s.c.state[check_joint(s, j)];

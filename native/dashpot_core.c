@@ -17,6 +17,11 @@ int dp_init(dp_controller *c, const dp_block *blocks, int n)
             return -1;
         if (blocks[j].latency < 0 || blocks[j].latency > DP_MAX_LATENCY)
             return -1;
+        /* written so that NaN fails: a limit that is not a number would be no limit */
+        if (!(blocks[j].torque_limit >= 0.0) || !(blocks[j].rate_limit >= 0.0))
+            return -1;
+        if (!(blocks[j].blend >= 0.0 && blocks[j].blend < 1.0))
+            return -1;
     }
     c->n = n;
     for (int j = 0; j < n; j++) {
@@ -95,7 +100,6 @@ static double output(const dp_block *b, const dp_state *s, const double *w)
 
 static double joint_step(const dp_block *b, dp_state *s, double *w)
 {
-    const int nx = b->nx;
     double u = output(b, s, w);
     if (!finite(u)) { /* rare: a broken input that this block does not use is no reason to stop */
         for (int i = 0; i < DP_NW; i++)
@@ -107,18 +111,19 @@ static double joint_step(const dp_block *b, dp_state *s, double *w)
         s->status = DP_NOT_FINITE;
         return s->command;
     }
-    if (s->mode != DP_MODE_ACTIVE)
-        return issue(b, s, u);
 
-    const dp_state before = *s;
-    double issued = issue(b, s, u);
-    double next[DP_NX], check = 0.0;
+    const int nx = s->mode == DP_MODE_ACTIVE ? b->nx : 0;
+    const double offset = s->offset;
+    const int changed = s->changed;
+    double issued = issue(b, s, u); /* may overflow where there is no torque limit */
+    double next[DP_NX], check = issued - issued;
     for (int i = 0; i < nx; i++) {
         next[i] = dot(b->A[i], s->x, nx) + dot(b->B[i], w, DP_NW) + b->E[i] * (issued - u);
         check += next[i] - next[i];
     }
     if (check != 0.0) { /* also true for NaN */
-        *s = before;
+        s->offset = offset;
+        s->changed = changed;
         s->status = DP_NOT_FINITE;
         return s->command;
     }
@@ -169,10 +174,25 @@ void dp_set_position_loop(dp_controller *c, int joint, int on)
     c->state[joint].position_loop = on != 0;
 }
 
+void dp_preset(dp_controller *c, int joint, const double *x, double torque)
+{
+    dp_state *s = &c->state[joint];
+    for (int i = 0; i < c->block[joint].nx; i++)
+        s->x[i] = x[i];
+    s->command = s->in_effect = torque;
+    for (int i = 0; i < DP_MAX_LATENCY; i++)
+        s->line[i] = torque;
+}
+
 void dp_warm_start(dp_controller *c, int joint, double velocity)
 {
     const dp_block *b = &c->block[joint];
-    if (finite(velocity))
-        for (int i = 0; i < b->nx; i++)
-            c->state[joint].x[i] = b->warm[i] * velocity;
+    dp_state *s = &c->state[joint];
+    if (!finite(velocity))
+        return;
+    for (int i = 0; i < b->nx; i++)
+        s->x[i] = b->warm[i] * velocity;
+    /* The brake must bite at once: fading its torque in while the state settles would drive the joint. */
+    s->offset = 0.0;
+    s->changed = 0;
 }

@@ -41,8 +41,8 @@ typedef struct {
     double A[DP_NX][DP_NX], B[DP_NX][DP_NW], C[DP_NX], D[DP_NW], E[DP_NX];
     double bypass[DP_NW];  /* u = bypass . w in bypass mode */
     double warm[DP_NX];    /* x = warm * (joint velocity) at a warm start */
-    double torque_limit;   /* [N m], may be infinite */
-    double rate_limit;     /* [N m per tick], may be infinite */
+    double torque_limit;   /* [N m], >= 0, may be infinite */
+    double rate_limit;     /* [N m per tick], >= 0, may be infinite */
     double blend;          /* per-tick decay of the step left by a change of mode, 0 <= blend < 1 */
     int nx;                /* states used, 0..DP_NX */
     int latency;           /* whole ticks from command to effect, 0..DP_MAX_LATENCY */
@@ -65,7 +65,7 @@ typedef struct {
 } dp_controller;
 
 /* Copies n blocks and clears the state: all joints active, position loop on, zero torque.
- * Returns 0, or -1 when n, nx or latency is out of range. */
+ * Returns 0, or -1 when n, nx, latency, blend or a limit is out of range. */
 int dp_init(dp_controller *c, const dp_block *blocks, int n);
 
 /* Clears the state, keeps modes. */
@@ -81,7 +81,10 @@ void dp_set_mode(dp_controller *c, int joint, int mode);
 /* With the position loop off the block sees zeros for inputs position ... torque ref. */
 void dp_set_position_loop(dp_controller *c, int joint, int on);
 
-/* Sets the virtual velocity from the last trusted joint velocity [rad/s]. */
+/* Starts a joint in equilibrium: block state x (nx values) and a torque that has been in effect for long. */
+void dp_preset(dp_controller *c, int joint, const double *x, double torque);
+
+/* Sets the virtual velocity from the last trusted joint velocity [rad/s]; ends any blending. */
 void dp_warm_start(dp_controller *c, int joint, double velocity);
 
 #ifdef __cplusplus

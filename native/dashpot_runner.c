@@ -193,7 +193,8 @@ int dp_run(dp_controller *c, dp_run_args *a)
         double tau = -(d->stiffness * a->qpos[d->spring_qpos] + d->damping * a->qvel[d->spring_dof]);
         d->filter_x[0] = d->measured_tau = d->inner_torque = d->tau = tau;
         d->filter_x[1] = d->friction_z = d->hysteresis_z = d->sum = d->integral = 0.0;
-        d->motor = d->asked = d->friction = d->inner_correction = 0.0;
+        d->friction = d->inner_correction = 0.0;
+        d->motor = d->asked = d->control >= 0 ? c->state[d->control].in_effect : 0.0;
         for (int i = 0; i < DP_MAX_DELAY; i++)
             d->delay[i] = tau;
     }

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -17,16 +19,19 @@ from dashpot.drive import Drive
 from dashpot.errors import InputError, InputWarning
 from dashpot.sampled import (
     BLOCK_DTYPE,
+    NX,
     Floats,
     Form,
     VirtualPassive,
     add_position_loop,
     virtual_passive_block,
 )
-from dashpot.tables import check_keys, check_numbers, from_table, number, read_toml
+from dashpot.tables import as_float, check_keys, check_numbers, from_table, number, read_toml
 
 Sampling = Literal["average", "point"]
 Mode = Literal["off", "bypass", "active"]
+BUNDLED = ("k807-wrist", "k807-resonant", "fr3", "iiwa14")
+"""Names `load_controller` knows."""
 MODES: tuple[str, ...] = get_args(Mode)
 
 TORQUE_LIMITED, RATE_LIMITED, NOT_FINITE, BLENDING = 1, 2, 4, 8
@@ -49,12 +54,12 @@ class JointGains:
     """
 
     name: str
-    R: float = number("-", 0, 1e4, open_low=True, typical=(0.01, 200))
-    D: float = number("N m s/rad", 0, 1e6, open_low=True, typical=(1e-3, 1e4))
+    R: float = number("-", 1e-6, 1e4, typical=(0.01, 200))
+    D: float = number("N m s/rad", 1e-9, 1e6, typical=(1e-3, 1e4))
     K: float = number("N m/rad", 0, 1e7, default=0.0)
     kp: float = number("N m/rad", 0, 1e7, default=0.0)
     kd: float = number("N m s/rad", 0, 1e6, default=0.0)
-    rotor_inertia: float | None = number("kg m^2", 0, 1e3, open_low=True, default=None)
+    rotor_inertia: float | None = number("kg m^2", 1e-9, 1e3, default=None)
     viscous_friction: float | None = number("N m s/rad", 0, 1e4, default=None)
 
     def __post_init__(self) -> None:
@@ -125,8 +130,24 @@ class ControllerConfig:
                 raise InputError("every [[joint]] needs a name", file=path, quantity="name", value=name)
             joints.append(from_table(JointGains, entry, file=path, joint=name))
         if type(table["period"]) is int:
-            table["period"] = float(table["period"])
+            table["period"] = as_float(table["period"])
         return cls(joints=tuple(joints), file=path, **table)
+
+
+def load_controller(source: str | Path) -> ControllerConfig:
+    """Reads a controller TOML, or a bundled one by name (`BUNDLED`).
+
+    Raises:
+        InputError: See `ControllerConfig.load`.
+    """
+    if str(source) in BUNDLED:
+        return ControllerConfig.load(Path(str(files("dashpot") / "controllers" / f"{source}.toml")))
+    path = Path(source)
+    if not os.path.exists(path) and path.suffix != ".toml":
+        raise InputError(
+            f"neither a file nor a bundled controller ({', '.join(BUNDLED)})", quantity=str(source)
+        )
+    return ControllerConfig.load(path)
 
 
 def joint_block(
@@ -214,6 +235,19 @@ class Controller:
             for key in ("A", "B", "C", "D", "E", "bypass", "warm", "blend"):
                 if not np.isfinite(block[key]).all():
                     raise InputError("must be finite", joint=name, quantity=f"coefficient {key}")
+            for key, valid, rule in (
+                ("torque_limit", block["torque_limit"] >= 0, "must not be negative"),
+                ("rate_limit", block["rate_limit"] >= 0, "must not be negative"),
+                ("blend", 0 <= block["blend"] < 1, "must be at least 0 and below 1"),
+                ("nx", 0 <= block["nx"] <= NX, f"must be 0 to {NX}"),
+                (
+                    "latency",
+                    0 <= block["latency"] <= _native.MAX_LATENCY,
+                    f"must be 0 to {_native.MAX_LATENCY}",
+                ),
+            ):
+                if not valid:
+                    raise InputError(rule, joint=name, quantity=key, value=block[key].item())
         self.joints = tuple(joints)
         self.period = period
         self.sampling: Sampling = sampling
@@ -263,7 +297,12 @@ class Controller:
         self.core.set_position_loop(self.index(joint), on)
 
     def warm_start(self, joint: str, velocity: float) -> None:
-        """Sets ``xc' = -velocity`` from the last trusted joint velocity [rad/s], so that the brake bites at once."""
+        """Sets ``xc' = -velocity`` so that the brake bites at once; a later `set_mode` clears it again.
+
+        Args:
+            joint: Name of the joint.
+            velocity: Last trusted joint velocity [rad/s].
+        """
         if not math.isfinite(velocity):
             raise InputError("must be finite", joint=joint, quantity="velocity [rad/s]", value=velocity)
         self.core.warm_start(self.index(joint), velocity)

@@ -31,6 +31,9 @@ class InnerLoop:
     period: float = number("s", 0, 0.1, open_low=True)
     bandwidth: float = number("Hz", 0, 1e6, open_low=True, default=math.inf)
 
+    def __post_init__(self) -> None:
+        check_numbers(self)
+
 
 @dataclass(frozen=True)
 class Servo:
@@ -47,6 +50,9 @@ class Servo:
     kp: float = number("N m/rad", 0, 1e7)
     kd: float = number("N m s/rad", 0, 1e6)
     ki: float = number("N m/(rad s)", 0, 1e8, default=0.0)
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
 
 @dataclass(frozen=True)
@@ -82,7 +88,7 @@ class Drive:
     """
 
     name: str
-    rotor_inertia: float = number("kg m^2", 0, 1e3, open_low=True, typical=(1e-4, 20))
+    rotor_inertia: float = number("kg m^2", 1e-9, 1e3, typical=(1e-4, 20))
     viscous_friction: float = number("N m s/rad", 0, 1e4, typical=(1e-3, 500))
     coulomb_friction: float = number("N m", 0, 1e3, typical=(1e-3, 100), default=0.0)
     stiffness: float = number("N m/rad", 0, 1e8, open_low=True, typical=(50, 1e6))
@@ -118,12 +124,16 @@ class Drive:
         """
         name = table.get("name")
         if not isinstance(name, str) or not name:
-            raise InputError("every [[joint]] needs a name, that of a hinge in the model", file=file, quantity="name")
+            raise InputError(
+                "every [[joint]] needs a name, that of a hinge in the model", file=file, quantity="name"
+            )
         values = dict(table)
         for key, kind in (("inner_loop", InnerLoop), ("servo", Servo)):
             if key in values:
                 if not isinstance(values[key], dict):
-                    raise InputError("must be a table", file=file, joint=name, quantity=key, value=values[key])
+                    raise InputError(
+                        "must be a table", file=file, joint=name, quantity=key, value=values[key]
+                    )
                 values[key] = from_table(kind, values[key], file=file, joint=f"{name}.{key}")
         uncertainty = values.get("uncertainty", {})
         if not isinstance(uncertainty, dict):
@@ -134,18 +144,12 @@ class Drive:
                 quantity="uncertainty",
                 value=uncertainty,
             )
-        check_uncertainty(uncertainty, file=file, joint=name)
-        try:
-            return from_table(cls, values, file=file, joint=name)
-        except InputError as error:
-            if error.file is not None or file is None:
-                raise
-            raise InputError(
-                error.rule, file=file, joint=error.joint, quantity=error.quantity, value=error.value
-            ) from None
+        return from_table(cls, values, file=file, joint=name)
 
 
-def check_uncertainty(uncertainty: Mapping[str, float], *, file: object = None, joint: str | None = None) -> None:
+def check_uncertainty(
+    uncertainty: Mapping[str, float], *, file: object = None, joint: str | None = None
+) -> None:
     """Checks relative half-widths: known quantities, at least 0 and below 1.
 
     Raises:

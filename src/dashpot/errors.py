@@ -34,8 +34,20 @@ class InputError(DashpotError, ValueError):
         if joint is not None:
             where.append(f"joint {joint!r}")
         if quantity is not None:
-            where.append(quantity if value is None else f"{quantity} = {value!r}")
-        super().__init__(": ".join([*where, rule]))
+            where.append(quantity if value is None else f"{quantity} = {_short(value)}")
+        super().__init__(_one_line(": ".join([*where, rule])))
+
+
+def _short(value: object) -> str:
+    try:
+        text = repr(value)
+    except ValueError:  # an integer of thousands of digits
+        text = f"a {type(value).__name__} too long to print"
+    return text if len(text) <= 100 else f"{text[:97]}..."
+
+
+def _one_line(text: str) -> str:
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 class ModelError(DashpotError, ValueError):

@@ -1,8 +1,9 @@
 """The linearised sampled arm: eigenvalues and mode shapes of the closed loop, per pose and payload.
 
 The elastic arm is linearised at rest at a pose and discretised exactly over one control period, the interval
-average included; the joint blocks close the loop. Coulomb friction, hysteresis, backlash and limits are left
-out: the result says when small vibrations grow, not how large they become.
+average included; the joint blocks close the loop. Coulomb friction, hysteresis, backlash, limits and the
+delay inside the sensor are left out, an inner torque loop is taken as ideal: the result says when small
+vibrations grow, not how large they become.
 """
 
 from __future__ import annotations
@@ -92,9 +93,10 @@ def linearise(plant: Plant, joints: Sequence[str], pose: Floats, period: float, 
     torque[np.arange(n), nv + spring] = -drives["damping"]
     force = np.hstack([-stiffness, -damping, np.zeros((nv, size - 2 * nv))])
     for k, i in enumerate(servos):
-        force[rotor[i], rotor[i]] -= drives["servo_kp"][i]
-        force[rotor[i], nv + rotor[i]] -= drives["servo_kd"][i]
-        force[rotor[i], 2 * nv + k] -= drives["servo_ki"][i]
+        produced = drives["actuator_gain"][i]
+        force[rotor[i], rotor[i]] -= produced * drives["servo_kp"][i]
+        force[rotor[i], nv + rotor[i]] -= produced * drives["servo_kd"][i]
+        force[rotor[i], 2 * nv + k] -= produced * drives["servo_ki"][i]
         A[2 * nv + k, rotor[i]] = 1.0
     inverse = np.linalg.inv(mass)
     A[:nv, nv : 2 * nv] = np.eye(nv)
@@ -108,8 +110,9 @@ def linearise(plant: Plant, joints: Sequence[str], pose: Floats, period: float, 
         A[at + 1] = omega * torque[i]
         A[at + 1, [at, at + 1]] += -omega, -2 * drive.sensor_damping * omega
         seen[controlled.index(i)] = np.eye(size)[at]
+    seen *= drives["sensor_gain"][controlled][:, None]
     B = np.zeros((size, nc))
-    B[nv : 2 * nv] = inverse[:, rotor[controlled]]
+    B[nv : 2 * nv] = inverse[:, rotor[controlled]] * drives["actuator_gain"][controlled]
 
     # One exponential gives the state after a period and the integral of the seen torque over it.
     full = np.zeros((size + 2 * nc, size + 2 * nc))
@@ -144,7 +147,7 @@ def _gravity_stiffness(model: mujoco.MjModel, data: mujoco.MjData, delta: float 
             step[i] = sign * delta
             mujoco.mj_integratePos(model, data.qpos, step, 1)
             mujoco.mj_forward(model, data)
-            both.append(data.qfrc_bias.copy())
+            both.append(data.qfrc_bias - data.qfrc_gravcomp)
         result[:, i] = (both[0] - both[1]) / (2 * delta)
     data.qpos[:] = rest
     return result
@@ -161,8 +164,8 @@ def closed_loop(
 
     Args:
         arm: From `linearise`.
-        blocks: (..., nc) records of `dashpot.sampled.BLOCK_DTYPE`, in the order of ``arm.joints``; all with the
-            same latency.
+        blocks: (..., nc) records of `dashpot.sampled.BLOCK_DTYPE`, in the order of ``arm.joints``;
+            all with the same latency.
         bypass: Joints whose law is bypassed: their position loop acts alone.
         position_loop: Whether the position loop is connected.
 

@@ -28,13 +28,18 @@ from dashpot.sampled import Floats
 from dashpot.tables import check_numbers, number
 
 STEEL = 7850.0  # [kg/m^3], density of payload spheres
+PRESLIDING = 3.0  # presliding stiffness of Coulomb friction over the transmission's; assumed
+HYSTERESIS = 0.25  # stiffness of the hysteresis element over the transmission's; assumed
 STEP_FRACTION = 0.3  # largest product of time step and stiffest natural frequency; about 1 % error in it
 
 _STATE = ["friction_z", "hysteresis_z", "tau", "filter_x0", "filter_x1", "sum", "integral", "motor"]
 _STATE += ["measured_tau", "friction", "inner_torque", "inner_correction", "asked"]
 DRIVE_DTYPE = np.dtype(
     [
-        *((name, "f8") for name in ("stiffness", "damping", "half_gap", "hysteresis", "hysteresis_stiffness")),
+        *(
+            (name, "f8")
+            for name in ("stiffness", "damping", "half_gap", "hysteresis", "hysteresis_stiffness")
+        ),
         *((name, "f8") for name in ("coulomb", "presliding_stiffness", "presliding_damping")),
         *((name, "f8") for name in ("stop_lower", "stop_upper", "stop_stiffness", "stop_damping")),
         *((name, "f8") for name in ("torque_limit", "actuator_gain", "inner_gain", "inner_pole")),
@@ -123,7 +128,7 @@ class Plant:
         data = mujoco.MjData(self.model)
         data.qpos[self.rotor_qpos] = q
         mujoco.mj_forward(self.model, data)
-        return np.array(data.qfrc_bias[self.rotor_dof])
+        return np.array((data.qfrc_bias - data.qfrc_gravcomp)[self.rotor_dof])
 
 
 def load_spec(robot: Robot) -> tuple[Any, Any]:
@@ -151,7 +156,7 @@ def load_spec(robot: Robot) -> tuple[Any, Any]:
     except Exception as error:
         reason = _one_line(error)
     for geom in list(spec.geoms):
-        if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+        if geom.meshname or geom.type == mujoco.mjtGeom.mjGEOM_MESH:
             spec.delete(geom)
     for mesh in list(spec.meshes):
         spec.delete(mesh)
@@ -171,8 +176,10 @@ def _insert_drive(spec: Any, rigid: Any, drive: Drive, path: Path | None) -> tup
     """Turns a hinge of the rigid arm into rotor and spring; returns the joint's range [rad]."""
     joint = spec.joint(drive.name)
     if joint is None:
-        hinges = [j.name for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_HINGE]
-        raise ModelError(f"{path}: joint {drive.name!r}: not in the model; its hinges: {', '.join(hinges) or 'none'}")
+        hinges = [rigid.joint(i).name for i in np.flatnonzero(rigid.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)]
+        raise ModelError(
+            f"{path}: joint {drive.name!r}: not in the model; its hinges: {', '.join(hinges) or 'none'}"
+        )
     if joint.type != mujoco.mjtJoint.mjJNT_HINGE:
         raise ModelError(f"{path}: joint {drive.name!r}: must be a hinge")
     body = joint.parent
@@ -180,17 +187,19 @@ def _insert_drive(spec: Any, rigid: Any, drive: Drive, path: Path | None) -> tup
         raise ModelError(f"{path}: joint {drive.name!r}: must be the only joint of its body {body.name!r}")
     inner = 1.0 + (drive.inner_loop.gain if drive.inner_loop else 0.0)
     joint.armature = drive.rotor_inertia * inner
-    joint.damping[0] = drive.viscous_friction * inner
-    joint.stiffness[0] = joint.frictionloss = 0.0
-    joint.limited = 0
+    joint.damping[:] = drive.viscous_friction * inner, 0.0, 0.0
+    joint.stiffness[:] = joint.springdamper[:] = 0.0
+    joint.frictionloss, joint.limited = 0.0, 0
     compiled = rigid.joint(drive.name)
     spring = body.add_joint(name=f"{drive.name}/transmission", type=mujoco.mjtJoint.mjJNT_HINGE)
     spring.pos, spring.axis = compiled.pos, compiled.axis
-    spring.stiffness[0], spring.damping[0] = drive.stiffness, drive.damping
-    spring.armature = spring.frictionloss = 0.0
-    spring.limited = 0
-    limited = rigid.jnt_limited[compiled.id]
-    return tuple(float(r) for r in compiled.range) if limited else (-math.inf, math.inf)
+    # The file's defaults apply to a new joint too: every one that acts is replaced.
+    spring.stiffness[:], spring.damping[:] = (drive.stiffness, 0.0, 0.0), (drive.damping, 0.0, 0.0)
+    spring.springdamper[:] = spring.armature = spring.frictionloss = 0.0
+    spring.ref = spring.springref = spring.springyield = 0.0
+    spring.limited = spring.actfrclimited = 0
+    lower, upper = compiled.range
+    return (float(lower), float(upper)) if rigid.jnt_limited[compiled.id] else (-math.inf, math.inf)
 
 
 def _hang(spec: Any, rigid: Any, robot: Robot, payloads: Sequence[Payload]) -> None:
@@ -199,7 +208,9 @@ def _hang(spec: Any, rigid: Any, robot: Robot, payloads: Sequence[Payload]) -> N
     if robot.flange is not None:
         if spec.site(robot.flange) is None:
             known = ", ".join(s.name for s in spec.sites) or "none"
-            raise ModelError(f"{robot.file}: flange = {robot.flange!r}: no such site in {robot.model}; sites: {known}")
+            raise ModelError(
+                f"{robot.file}: flange = {robot.flange!r}: no such site in {robot.model}; sites: {known}"
+            )
         site = rigid.site(robot.flange)
         body, pos, quat = spec.site(robot.flange).parent, site.pos, site.quat
     for i, load in enumerate(payloads):
@@ -223,6 +234,7 @@ def _hang(spec: Any, rigid: Any, robot: Robot, payloads: Sequence[Payload]) -> N
                 size=[radius, 0, 0],
                 fromto=[*(centre - tip), *(centre + tip)],
                 rgba=[0.3, 0.3, 0.33, 1],
+                mass=load.mass,  # counts where the file says inertiafromgeom="true"
                 contype=0,
                 conaffinity=0,
             )
@@ -233,6 +245,7 @@ def _hang(spec: Any, rigid: Any, robot: Robot, payloads: Sequence[Payload]) -> N
                 size=[radius, 0, 0],
                 pos=centre,
                 rgba=[0.84, 0.37, 0.0, 1],
+                mass=load.mass,
                 contype=0,
                 conaffinity=0,
             )
@@ -243,7 +256,9 @@ def stiffest_mode(model: Any, drives: NDArray[np.void], poses: Sequence[Floats])
     data = mujoco.MjData(model)
     stiffness = np.zeros((model.nv, model.nv))
     spring = drives["spring_dof"]
-    stiffness[spring, spring] = drives["stiffness"]
+    stiffness[spring, spring] = drives["stiffness"] + np.where(
+        drives["hysteresis"] > 0, drives["hysteresis_stiffness"], 0.0
+    )
     highest = 0.0
     for q in poses:
         data.qpos[drives["rotor_qpos"]] = q
@@ -275,11 +290,12 @@ def _drive_records(model: Any, robot: Robot, ranges: Sequence[tuple[float, float
         inner = drive.inner_loop.gain if drive.inner_loop else 0.0
         record["stiffness"], record["damping"] = drive.stiffness, drive.damping
         record["half_gap"] = drive.backlash / 2
-        record["hysteresis"], record["hysteresis_stiffness"] = drive.hysteresis, drive.stiffness
+        record["hysteresis"], record["hysteresis_stiffness"] = drive.hysteresis, HYSTERESIS * drive.stiffness
         record["coulomb"] = drive.coulomb_friction * (1 + inner)
-        # Presliding about as stiff as the transmission: a stuck rotor moves by less than tau_c / k.
-        record["presliding_stiffness"] = drive.stiffness
-        record["presliding_damping"] = 0.4 * math.sqrt(drive.stiffness * drive.rotor_inertia)
+        # Presliding stiffer than the transmission and well damped: a stuck rotor moves by less than tau_c / 3k.
+        presliding = PRESLIDING * drive.stiffness
+        record["presliding_stiffness"] = presliding * (1 + inner)
+        record["presliding_damping"] = math.sqrt(presliding * drive.rotor_inertia) * (1 + inner)
         record["stop_lower"], record["stop_upper"] = lower, upper
         record["stop_stiffness"] = 0.5 * drive.stiffness
         light = min(drive.rotor_inertia, inertia[spring.dofadr[0]])
@@ -354,7 +370,9 @@ def build(robot: Robot, period: float, payloads: Sequence[Payload] = ()) -> Plan
     try:
         model = spec.compile()
     except Exception as error:
-        raise ModelError(f"{robot.model}: MuJoCo cannot compile the elastic arm: {_one_line(error)}") from None
+        raise ModelError(
+            f"{robot.model}: MuJoCo cannot compile the elastic arm: {_one_line(error)}"
+        ) from None
     order = [model.joint(name).id for name in robot.joints]
     if order != sorted(order):
         raise ModelError(f"{robot.file}: joints must be listed base to tip, as in {robot.model}")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 
 from dashpot.drive import Drive
 from dashpot.errors import InputError
-from dashpot.tables import check_keys, read_toml
+from dashpot.tables import as_float, check_keys, read_toml
 
 BUNDLED = ("k807", "fr3", "iiwa14")
 
@@ -73,8 +74,10 @@ class Robot:
             path = Path(str(files("dashpot") / "robots" / f"{source}.toml"))
         else:
             path = Path(source)
-            if not path.exists() and path.suffix != ".toml":
-                raise InputError(f"neither a file nor a bundled robot ({', '.join(BUNDLED)})", quantity=str(source))
+            if not os.path.exists(path) and path.suffix != ".toml":
+                raise InputError(
+                    f"neither a file nor a bundled robot ({', '.join(BUNDLED)})", quantity=str(source)
+                )
         table = read_toml(path)
         check_keys(table, {"name", "model", "flange", "home", "joint"}, {"name", "joint"}, file=path)
         for key in ("name", "model", "flange"):
@@ -90,7 +93,7 @@ class Robot:
             drives=tuple(Drive.from_table(entry, file=path) for entry in entries),
             model=path.parent / table["model"] if "model" in table else None,
             flange=table.get("flange"),
-            home=tuple(float(q) for q in home),
+            home=tuple(as_float(q) for q in home),
             file=path,
         )
 
@@ -113,5 +116,6 @@ class Robot:
         drives = list(self.drives)
         for joint, values in changes.items():
             i = self.index(joint)
+            check_keys(values, {f.name for f in fields(Drive)} - {"name"}, set(), file=self.file, joint=joint)
             drives[i] = replace(drives[i], **values)
         return replace(self, drives=tuple(drives))

@@ -5,13 +5,14 @@ from __future__ import annotations
 import ctypes
 import json
 import os
-import tempfile
+import zlib
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+from zipfile import BadZipFile
 
 import mujoco
 import numpy as np
@@ -19,10 +20,11 @@ from numpy.typing import NDArray
 
 from dashpot import _native
 from dashpot.controller import MODES, Controller, ControllerConfig
+from dashpot.equilibrium import settle
 from dashpot.errors import DashpotError, InputError
 from dashpot.plant import Payload, Plant, build
 from dashpot.robot import Robot
-from dashpot.sampled import Floats
+from dashpot.sampled import BLOCK_DTYPE, Floats
 from dashpot.trajectory import Trajectory
 
 CHANNELS = (
@@ -67,7 +69,8 @@ class Scenario:
     Attributes:
         plant: The arm with its payload (`dashpot.plant.build`), for the controller's period.
         controller: The controller, or None: every joint under the robot's own servo.
-        trajectory: References; the arm starts at rest at their first position.
+        trajectory: References; the arm starts at rest, in equilibrium with gravity, at their
+            first position.
         events: In any order.
         external: Torque on each link, (ticks, n) [N m], or None.
         seed: Seed of the sensor noise.
@@ -125,13 +128,13 @@ class Recording:
         arrays = {name: getattr(self, name) for name in ("time", "reference", "status", *CHANNELS)}
         header = {"joints": self.joints, "diverged_at": self.diverged_at, "settings": self.settings}
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".npz")
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
-            with os.fdopen(handle, "wb") as stream:
+            with temporary.open("wb") as stream:
                 np.savez_compressed(stream, header=np.array(json.dumps(header)), **arrays)
             os.replace(temporary, path)
         except BaseException:
-            os.unlink(temporary)
+            temporary.unlink(missing_ok=True)
             raise
         return path
 
@@ -143,15 +146,15 @@ class Recording:
             InputError: The file is missing or not a recording.
         """
         try:
-            with np.load(path) as archive:
+            with Path(path).open("rb") as stream, np.load(stream) as archive:
                 header = json.loads(str(archive["header"]))
                 arrays = {name: archive[name] for name in ("time", "reference", "status", *CHANNELS)}
+            header["joints"] = tuple(header["joints"])
+            return cls(**header, **arrays)
         except FileNotFoundError:
             raise InputError("no such file", file=path) from None
-        except (OSError, ValueError, KeyError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, BadZipFile, zlib.error):
             raise InputError("not a dashpot recording", file=path) from None
-        header["joints"] = tuple(header["joints"])
-        return cls(**header, **arrays)
 
 
 @cache
@@ -169,21 +172,50 @@ def _events(scenario: Scenario) -> NDArray[np.void]:
     controller, trajectory = scenario.controller, scenario.trajectory
     rows: list[tuple[int, int, int, int]] = []
     for event in scenario.events:
+        if event.kind not in _KINDS:
+            raise InputError(f"must be one of {', '.join(_KINDS)}", quantity="event kind", value=event.kind)
         if controller is None:
             raise InputError("events need a controller", quantity=event.kind)
-        tick = round((event.time - trajectory.start) / trajectory.period)
-        if not 0 <= tick < len(trajectory.position):
+        if event.kind == "mode" and event.value not in MODES:
+            raise InputError(
+                f"must be one of {', '.join(MODES)}", joint=event.joint, quantity="mode", value=event.value
+            )
+        tick = (event.time - trajectory.start) / trajectory.period
+        if not -0.5 <= tick < len(trajectory.position) - 0.5:  # also catches NaN
             raise InputError(
                 f"outside the trajectory, {trajectory.time[0]:g} to {trajectory.time[-1]:g} s",
                 joint=event.joint,
                 quantity="event time [s]",
                 value=event.time,
             )
+        tick = round(tick)
         value = MODES.index(str(event.value)) if event.kind == "mode" else int(bool(event.value))
         names = controller.joints if event.joint == "all" else (event.joint,)
         rows += [(tick, controller.index(name), _KINDS[event.kind], value) for name in names]
     rows.sort(key=lambda row: row[0])
     return np.array(rows, EVENT_DTYPE)
+
+
+def _start(scenario: Scenario, core: Any, events: NDArray[np.void], data: Any) -> None:
+    """Puts the arm at rest in equilibrium with the first reference, or at it with slack springs if there is none."""
+    plant, controller = scenario.plant, scenario.controller
+    reference = scenario.trajectory.position[0]
+    joints = controller.joints if controller else ()
+    blocks = controller.blocks if controller else np.zeros(0, BLOCK_DTYPE)
+    modes = {joint: "active" for joint in joints}
+    for event in events:
+        if event["tick"] == 0 and event["kind"] == _KINDS["mode"]:
+            modes[joints[event["joint"]]] = MODES[event["value"]]
+    found = None
+    if "off" not in modes.values():
+        found = settle(plant, joints, blocks, reference, [j for j, mode in modes.items() if mode == "bypass"])
+    if found is None:
+        data.qpos[plant.rotor_qpos] = reference
+        return
+    data.qpos[plant.rotor_qpos] = found.rotor
+    data.qpos[plant.drives["spring_qpos"]] = found.deflection
+    for i, joint in enumerate(joints):
+        core.preset(i, found.states[i], found.torque[plant.robot.index(joint)])
 
 
 def run(scenario: Scenario) -> Recording:
@@ -203,15 +235,25 @@ def run(scenario: Scenario) -> Recording:
         )
     if controller is not None and abs(controller.period - period) > 1e-12:
         raise InputError(
-            f"differs from the controller's {controller.period:g} s", quantity="trajectory period [s]", value=period
+            f"differs from the controller's {controller.period:g} s",
+            quantity="trajectory period [s]",
+            value=period,
         )
-    if trajectory.position.shape != (ticks, n):
-        raise InputError(f"must have shape ({ticks}, {n})", quantity="trajectory", value=trajectory.position.shape)
+    for name in ("position", "velocity", "acceleration"):
+        array = np.asarray(getattr(trajectory, name))
+        if array.shape != (ticks, n):
+            raise InputError(
+                f"must have shape ({ticks}, {n})", quantity=f"trajectory {name}", value=array.shape
+            )
+        if not np.isfinite(array).all():
+            raise InputError("must be finite", quantity=f"trajectory {name}")
     external = scenario.external
     if external is not None:
         external = np.ascontiguousarray(external, float)
         if external.shape != (ticks, n) or not np.isfinite(external).all():
-            raise InputError(f"must be finite and have shape ({ticks}, {n})", quantity="external torque [N m]")
+            raise InputError(
+                f"must be finite and have shape ({ticks}, {n})", quantity="external torque [N m]"
+            )
     drives = plant.drives.copy()
     core = None
     if controller is not None:
@@ -229,7 +271,8 @@ def run(scenario: Scenario) -> Recording:
             )
     drives["rng"] = np.random.SeedSequence(scenario.seed).generate_state(n, np.uint64)
     data = mujoco.MjData(plant.model)
-    data.qpos[plant.rotor_qpos] = trajectory.position[0]
+    events = _events(scenario)
+    _start(scenario, core, events, data)
     mujoco.mj_forward(plant.model, data)
     reference = np.stack(
         [trajectory.position, trajectory.velocity, trajectory.acceleration, np.zeros((ticks, n))]
@@ -239,7 +282,7 @@ def run(scenario: Scenario) -> Recording:
     outcome, tick = _native.run(
         core,
         drives.view(np.uint8),
-        _events(scenario).view(np.uint8),
+        events.view(np.uint8),
         _mj_step(),
         plant.model._address,
         data._address,

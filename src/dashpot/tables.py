@@ -82,6 +82,7 @@ def check_numbers(record: Any, *, file: object = None, joint: str | None = None)
         }
         if isinstance(value, bool) or not isinstance(value, numbers.Real):
             raise InputError("must be a number", **where)
+        value = as_float(value)
         unlimited = math.isinf(value) and value > 0 and f.default == math.inf
         if not math.isfinite(value) and not unlimited:
             raise InputError("must be finite", **where)
@@ -112,8 +113,16 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError("no such file", file=path) from None
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", file=path) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # bad syntax, bad UTF-8, an absurdly long number or nesting
         raise InputError(f"not valid TOML: {error}", file=path) from None
+
+
+def as_float(value: Any) -> float:
+    """The number as a float; an integer beyond the range of floats becomes infinite."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
 
 
 def check_keys(
@@ -131,12 +140,15 @@ def check_keys(
     """
     for key in table:
         if key not in allowed:
-            near = difflib.get_close_matches(key, allowed, n=1)
+            near = [name for name in sorted(allowed) if name.lower() == key.lower()]
+            near = near or difflib.get_close_matches(key, allowed, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(sorted(allowed))}"
             raise InputError(f"unknown key{hint}", file=file, joint=joint, quantity=key)
     missing = sorted(required - table.keys())
     if missing:
-        raise InputError(f"missing key{'s' if len(missing) > 1 else ''}: {', '.join(missing)}", file=file, joint=joint)
+        raise InputError(
+            f"missing key{'s' if len(missing) > 1 else ''}: {', '.join(missing)}", file=file, joint=joint
+        )
 
 
 def from_table(cls: type[T], table: Mapping[str, Any], *, file: object = None, joint: str | None = None) -> T:
@@ -153,10 +165,17 @@ def from_table(cls: type[T], table: Mapping[str, Any], *, file: object = None, j
     }
     check_keys(table, {f.name for f in fields}, required, file=file, joint=joint)
     values = {
-        f.name: float(v) if "range" in f.metadata and type(v) is int else v
+        f.name: as_float(v) if "range" in f.metadata and type(v) is int else v
         for f in fields
         if (v := table.get(f.name)) is not None
     }
-    record = cls(**values)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", InputWarning)  # given below, with the name of the file
+            record = cls(**values)
+    except InputError as error:
+        raise InputError(
+            error.rule, file=file, joint=joint or error.joint, quantity=error.quantity, value=error.value
+        ) from None
     check_numbers(record, file=file, joint=joint)
     return record

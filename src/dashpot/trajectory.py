@@ -33,7 +33,7 @@ class Trajectory:
     @property
     def time(self) -> Floats:
         """(ticks,) [s]."""
-        return self.start + self.period * np.arange(len(self.position))
+        return self.start + self.period * np.arange(len(self.position), dtype=np.float64)
 
 
 def hold(pose: Sequence[float], duration: float, period: float) -> Trajectory:
@@ -69,8 +69,8 @@ def multisine(
         band: Lowest and highest frequency [Hz].
         ramp: Duration of the ramp [s].
         lead_in: Time at rest before t = 0 [s].
-        peak_speed_at: Joint index -> time [s] at which all its tones pass zero upwards, so that it is
-            then certainly moving at its highest speed.
+        peak_speed_at: Joint index -> time [s] at which all its tones pass zero upwards, so that after
+            the ramp no moment sees it move faster.
     """
     rng = np.random.default_rng(seed)
     n = len(pose)
@@ -101,4 +101,8 @@ def multisine(
 def _ticks(duration: float, period: float) -> int:
     if not (math.isfinite(duration) and 0 < duration <= 1e5):
         raise InputError("must be positive and at most 1e5 s", quantity="duration [s]", value=duration)
+    if not 0 < period <= duration * (1 + 1e-9):
+        raise InputError(
+            f"must be positive and at most the duration, {duration:g} s", quantity="period [s]", value=period
+        )
     return round(duration / period)

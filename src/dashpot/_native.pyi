@@ -1,0 +1,48 @@
+"""Types of the native module (native/bindings.cpp)."""
+
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+BLOCK_SIZE: int
+DRIVE_SIZE: int
+EVENT_SIZE: int
+MAX_JOINTS: int
+MAX_LATENCY: int
+MAX_DELAY: int
+
+class Core:
+    n: int
+    inputs: NDArray[np.float64]
+    def __init__(self, blocks: NDArray[np.uint8]) -> None: ...
+    @overload
+    def step(self, out: NDArray[np.float64]) -> int: ...
+    @overload
+    def step(self, inputs: NDArray[np.float64], out: NDArray[np.float64]) -> int: ...
+    def reset(self) -> None: ...
+    def set_mode(self, joint: int, mode: int) -> None: ...
+    def set_position_loop(self, joint: int, on: bool) -> None: ...
+    def warm_start(self, joint: int, velocity: float) -> None: ...
+    def preset(self, joint: int, x: NDArray[np.float64], torque: float) -> None: ...
+    def joint_state(self, joint: int) -> tuple[int, bool, float, float, int, tuple[float, ...]]: ...
+
+def run(
+    core: Core | None,
+    drives: NDArray[np.uint8],
+    events: NDArray[np.uint8],
+    step: int,
+    model: int,
+    data: int,
+    qpos: NDArray[np.float64],
+    qvel: NDArray[np.float64],
+    qfrc_applied: NDArray[np.float64],
+    dt: float,
+    steps_per_tick: int,
+    ticks: int,
+    reference: NDArray[np.float64] | None,
+    external: NDArray[np.float64] | None,
+    record: NDArray[np.float64] | None,
+    status: NDArray[np.int32] | None,
+) -> tuple[int, int]: ...
+def step_many(core: Core, count: int) -> None: ...

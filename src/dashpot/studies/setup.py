@@ -1,0 +1,66 @@
+"""The paper's experiment on the k807 arm: what is fixed for all figures, and what of it is assumed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cache
+
+from dashpot.controller import Controller, ControllerConfig, JointGains, load_controller
+from dashpot.plant import Payload, Plant, build
+from dashpot.robot import Robot
+
+POUND = 0.45359237  # [kg]
+PAYLOADS = (0, 5, 10)  # [lb], section VII
+OFFSET = 0.23  # [m], weight to the centre of the end-effector, section VII
+PERIOD = 0.005  # [s], 200 Hz, section VII
+RELEASE = 3.0  # [s], when the position offset is removed, section VII
+WRIST = ("joint5", "joint6", "joint7")  # roll, pitch, toolplate roll, section VII
+
+BEAM_MASS = 1.2  # [kg], assumed: the beam and its clamp, on the hand at every payload
+MOUNT_ANGLE = math.radians(35)  # assumed: the beam's angle from straight up at q7 = 0
+AMPLITUDE = 0.35  # [rad], assumed: how far each joint swings about the home pose
+
+ASSUMED = {
+    "arm": "K-807i class: published geometry scaled to 0.8 m reach; masses and stops assumed (k807.xml)",
+    "drives": "apparent rotor inertia 0.05 kg m^2, viscous 0.6 N m s/rad, Coulomb 0.15 N m, stiffness "
+    "6000 N m/rad at the wrist: assumed, the paper could not identify them (k807.toml)",
+    "beam": f"{BEAM_MASS} kg, from the axis to 0.23 m, {math.degrees(MOUNT_ANGLE):.0f} degrees from straight "
+    "up at home, on the hand at every payload",
+    "trajectories": f"random multisines of all seven joints, 0.1-0.4 Hz, +-{AMPLITUDE} rad about home",
+    "joints 1-4": "PD servo of the robot at the physics step",
+}
+
+
+def on_beam(distance: float) -> tuple[float, float, float]:
+    """Point on the beam at a distance [m] from the toolplate's axis, in the flange frame [m]."""
+    return (distance * math.cos(MOUNT_ANGLE), distance * math.sin(MOUNT_ANGLE), 0.0)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Arm, plants and controller of the experiment.
+
+    Attributes:
+        robot: The arm.
+        config: The wrist controller.
+        plants: Payload [lb] -> plant.
+    """
+
+    robot: Robot
+    config: ControllerConfig
+    plants: dict[int, Plant]
+
+    def controller(self, gains: tuple[JointGains, ...] | None = None) -> Controller:
+        """The wrist controller, with other gains if given."""
+        config = self.config if gains is None else replace(self.config, joints=gains)
+        return Controller.from_config(config, self.robot.drives)
+
+
+@cache
+def setup() -> Setup:
+    """Loads the arm and builds it with each payload."""
+    robot = Robot.load("k807")
+    beam = Payload(BEAM_MASS, on_beam(OFFSET / 2), length=OFFSET)
+    plants = {lb: build(robot, PERIOD, [beam, Payload(lb * POUND, on_beam(OFFSET))]) for lb in PAYLOADS}
+    return Setup(robot, load_controller("k807-wrist"), plants)

@@ -153,8 +153,8 @@ NB_MODULE(_native, m) {
                                        nb::make_tuple(t.x[0], t.x[1], t.x[2], t.x[3]));
              });
 
-    m.def("run", &run, nb::arg("core").none(), nb::arg("drives"), nb::arg("events"), nb::arg("step"), nb::arg("model"),
-          nb::arg("data"), nb::arg("qpos"), nb::arg("qvel"), nb::arg("qfrc_applied"), nb::arg("dt"),
+    m.def("run", &run, nb::arg("core").none(), nb::arg("drives").noconvert(), nb::arg("events"), nb::arg("step"), nb::arg("model"),
+          nb::arg("data"), nb::arg("qpos").noconvert(), nb::arg("qvel").noconvert(), nb::arg("qfrc_applied").noconvert(), nb::arg("dt"),
           nb::arg("steps_per_tick"), nb::arg("ticks"), nb::arg("reference").none(), nb::arg("external").none(),
           nb::arg("record").none(), nb::arg("status").none());
 

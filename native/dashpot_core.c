@@ -158,10 +158,15 @@ int dp_step(dp_controller *c, const double *in, double *out)
     return status;
 }
 
+static dp_state *state_of(dp_controller *c, int joint)
+{
+    return joint >= 0 && joint < c->n ? &c->state[joint] : 0;
+}
+
 void dp_set_mode(dp_controller *c, int joint, int mode)
 {
-    dp_state *s = &c->state[joint];
-    if (s->mode == mode)
+    dp_state *s = state_of(c, joint);
+    if (!s || mode < DP_MODE_OFF || mode > DP_MODE_ACTIVE || s->mode == mode)
         return;
     s->mode = mode;
     s->changed = 1;
@@ -171,13 +176,23 @@ void dp_set_mode(dp_controller *c, int joint, int mode)
 
 void dp_set_position_loop(dp_controller *c, int joint, int on)
 {
-    c->state[joint].position_loop = on != 0;
+    dp_state *s = state_of(c, joint);
+    if (s)
+        s->position_loop = on != 0;
 }
 
 void dp_preset(dp_controller *c, int joint, const double *x, double torque)
 {
-    dp_state *s = &c->state[joint];
-    for (int i = 0; i < c->block[joint].nx; i++)
+    dp_state *s = state_of(c, joint);
+    if (!s)
+        return;
+    const dp_block *b = &c->block[joint];
+    int ok = finite(torque) && torque <= b->torque_limit && torque >= -b->torque_limit;
+    for (int i = 0; i < b->nx; i++)
+        ok &= finite(x[i]);
+    if (!ok)
+        return;
+    for (int i = 0; i < b->nx; i++)
         s->x[i] = x[i];
     s->command = s->in_effect = torque;
     for (int i = 0; i < DP_MAX_LATENCY; i++)
@@ -186,10 +201,10 @@ void dp_preset(dp_controller *c, int joint, const double *x, double torque)
 
 void dp_warm_start(dp_controller *c, int joint, double velocity)
 {
-    const dp_block *b = &c->block[joint];
-    dp_state *s = &c->state[joint];
-    if (!finite(velocity))
+    dp_state *s = state_of(c, joint);
+    if (!s || !finite(velocity))
         return;
+    const dp_block *b = &c->block[joint];
     for (int i = 0; i < b->nx; i++)
         s->x[i] = b->warm[i] * velocity;
     /* The brake must bite at once: fading its torque in while the state settles would drive the joint. */

@@ -75,13 +75,15 @@ void dp_reset(dp_controller *c);
  * Returns the statuses of all joints, or-ed. Never writes a non-finite torque. */
 int dp_step(dp_controller *c, const double *in, double *out);
 
-/* Off, bypass or active from the next tick on; the change is bumpless when blend > 0. */
+/* The calls below do nothing for a joint or a mode that does not exist.
+ * Off, bypass or active from the next tick on; the change is bumpless when blend > 0. */
 void dp_set_mode(dp_controller *c, int joint, int mode);
 
 /* With the position loop off the block sees zeros for inputs position ... torque ref. */
 void dp_set_position_loop(dp_controller *c, int joint, int on);
 
-/* Starts a joint in equilibrium: block state x (nx values) and a torque that has been in effect for long. */
+/* Starts a joint in equilibrium: block state x (nx values) and a torque that has been in effect for long.
+ * Does nothing where a value is not finite or beyond the torque limit. */
 void dp_preset(dp_controller *c, int joint, const double *x, double torque);
 
 /* Sets the virtual velocity from the last trusted joint velocity [rad/s]; ends any blending. */

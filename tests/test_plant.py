@@ -15,7 +15,7 @@ from dashpot.controller import Controller, ControllerConfig, JointGains
 from dashpot.drive import Drive, InnerLoop, Servo
 from dashpot.errors import InputError, InputWarning, ModelError
 from dashpot.law import bias_drift, creep_rate, hold_torque, static_R
-from dashpot.plant import Payload, build
+from dashpot.plant import HYSTERESIS, Payload, build
 from dashpot.robot import Robot
 from dashpot.sampled import VELOCITY_REF, empty_block
 from dashpot.simulate import Event, Scenario, run
@@ -478,14 +478,15 @@ def test_the_hysteresis_loop_has_its_closed_form_area(tmp_path):
     plant = build(one_joint(tmp_path, 0.02, hysteresis=H, damping=0.0, servo=Servo(kp=6e3, kd=30.0)), h)
     t = h * np.arange(4000)
     trajectory = hold([0.0], 4.0, h)
-    recording = run(Scenario(plant, None, trajectory, external=12 * np.sin(2 * math.pi * 0.5 * t)[:, None]))
+    recording = run(Scenario(plant, None, trajectory, external=30 * np.sin(2 * math.pi * 0.5 * t)[:, None]))
     e = (recording.link_position - recording.position)[2000:, 0]
     e, tau = np.append(e, e[0]), -recording.torque[2000:, 0]
     tau = np.append(tau, tau[0])
     area = np.sum((tau[1:] + tau[:-1]) / 2 * np.diff(e))
     amplitude = np.ptp(e) / 2
-    assert amplitude > 2 * H / k
-    assert area == pytest.approx(4 * H * (amplitude - H / k), rel=0.02)
+    slip = H / (HYSTERESIS * k)
+    assert amplitude > 2 * slip
+    assert area == pytest.approx(4 * H * (amplitude - slip), rel=0.02)
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.7])
@@ -679,14 +680,15 @@ def test_a_heavy_link_hunts_slowly_on_the_elasticity_of_the_friction(tmp_path):
     load = 0.5 * hold_torque(friction, R)
     ramp = np.minimum(np.arange(2800) / 1600, 1)[:, None] * load
     creep = []
-    for factor in (1, 20):
+    for softer in (1, 3):
         plant = build(robot, h)
-        plant.drives["presliding_damping"] *= factor
+        plant.drives["presliding_stiffness"] /= softer
+        plant.drives["presliding_damping"] /= softer
         recording = run(Scenario(plant, vpc(robot, h, R, 6.0, 1.0), hold([0.0], 14.0, h), external=ramp))
         creep.append((recording.position[-1, 0] - recording.position[2000, 0]) / (799 * h))
     free = creep_rate(load, R, 0.6)
-    assert 1e-3 * free < creep[0] < 0.03 * free
-    assert abs(creep[1]) < 1e-5 * free
+    assert creep[0] < 0.01 * free
+    assert 3 * creep[0] < creep[1] < 0.05 * free
 
 
 @pytest.mark.parametrize(("R", "D", "K"), LAWS)

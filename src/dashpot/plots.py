@@ -38,19 +38,17 @@ STYLE = {
 
 def new_figure(rows: int, columns: int, width: float, height: float, **options: Any) -> tuple[Figure, Any]:
     """A figure in the house style and its axes, always a 2-d array; sizes in inches."""
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(
-            rows, columns, figsize=(width, height), squeeze=False, layout="constrained", **options
-        )
-    return figure, axes
+    mpl.rcParams.update(STYLE)
+    return plt.subplots(
+        rows, columns, figsize=(width, height), squeeze=False, layout="constrained", **options
+    )
 
 
 def save(figure: Figure, path: Path) -> list[Path]:
     """Writes ``path`` as PNG and PDF and closes the figure; returns the two paths."""
     paths = [path.with_suffix(".png"), path.with_suffix(".pdf")]
-    with plt.rc_context(STYLE):
-        figure.savefig(paths[0])
-        figure.savefig(paths[1], metadata={"CreationDate": None})
+    figure.savefig(paths[0])
+    figure.savefig(paths[1], metadata={"CreationDate": None})
     plt.close(figure)
     return paths
 

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from dashpot import _native
+import dashpot._native as _native
 from dashpot.drive import Drive
 from dashpot.errors import InputError, InputWarning
 from dashpot.sampled import (

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh, expm
 
-from dashpot import _native
+import dashpot._native as _native
 from dashpot.drive import Drive
 from dashpot.errors import InputError, InputWarning, ModelError
 from dashpot.robot import Robot

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dashpot import _native
+import dashpot._native as _native
 from dashpot.controller import MODES, Controller, ControllerConfig
 from dashpot.equilibrium import settle
 from dashpot.errors import DashpotError, InputError

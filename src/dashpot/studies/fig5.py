@@ -67,7 +67,7 @@ class Fig5:
     @property
     def seeds(self) -> int:
         """Number of seeds."""
-        return self.speed.shape[1]
+        return int(self.speed.shape[1])
 
 
 def pull_profile(time: Floats, until: float) -> Floats:

@@ -3,8 +3,8 @@
 (a) One joint's torque loop too strong for a light load: it oscillates at 0 lb, is calm at 10 lb.
 (b) The position loops and torque loops of the two wrist rolls resonate at 5 lb only, near parallel axes.
 
-Each observation of the paper becomes a growth rate that must be positive or negative; the search maximises the
-smallest margin. ``python -m dashpot.studies.instability`` runs it and prints the result as JSON.
+Each observation of the paper becomes a growth rate that must be positive or negative; the search maximises
+the smallest margin. ``python -m dashpot.studies.instability`` runs it and prints the result as JSON.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def margins(
     blocks: NDArray[np.void],
     observations: tuple[Observation, ...] = RESONANCE,
 ) -> Floats:
-    """Signed growth rate of each observation, (..., observations) [1/s]: positive where it is met in every pose."""
+    """Signed growth rates, (..., observations) [1/s]: positive where an observation is met in every pose."""
     columns = []
     for seen in observations:
         sign = 1 if seen.grows else -1
@@ -118,7 +118,9 @@ def wrist_gains(s: Setup, values: Floats) -> tuple[JointGains, ...]:
     """Gains of the wrist with those of `SEARCHED` from (15,) values, `KEYS` per joint."""
     rows = dict(zip(SEARCHED, np.reshape(values, (len(SEARCHED), len(KEYS))), strict=True))
     return tuple(
-        replace(g, **{k: float(x) for k, x in zip(KEYS, rows[g.name], strict=True)}) if g.name in rows else g
+        JointGains(g.name, **{k: float(x) for k, x in zip(KEYS, rows[g.name], strict=True)})
+        if g.name in rows
+        else g
         for g in s.config.joints
     )
 
@@ -189,6 +191,67 @@ def describe_resonance(s: Setup, gains: tuple[JointGains, ...]) -> dict[str, Any
         "all_met": bool((met > 0).all()),
         "frequency_hz": float(frequency),
     }
+
+
+@dataclass(frozen=True)
+class HighGain:
+    """A joint whose torque loop is too strong for a light load.
+
+    Attributes:
+        joint: Its name.
+        high: Gains of the wrist with that joint's too high.
+        low: Gains that cure it.
+        growth: Payload [lb] -> growth rate with the high gains [1/s].
+        growth_low: The same with the low gains.
+        frequency: Of the oscillation at 0 lb [Hz].
+        tried: Gain pairs tried.
+    """
+
+    joint: str
+    high: tuple[JointGains, ...]
+    low: tuple[JointGains, ...]
+    growth: dict[int, float]
+    growth_low: dict[int, float]
+    frequency: float
+    tried: int
+
+
+LOW = {"R": 5.0, "D": 3.0, "K": 0.0, "kp": 34.0, "kd": 2.0}
+GRID_R = (3, 4, 5, 6, 8, 10, 12, 15, 20)
+GRID_D = (2, 3, 4, 5, 6, 8, 10, 12, 15)
+
+
+def explicit(s: Setup) -> Setup:
+    """The experiment with the explicit form, in which strong torque loops lose stability first."""
+    return replace(s, config=replace(s.config, form="explicit"))
+
+
+def search_high_gain(joint: str = "joint5") -> HighGain:
+    """Raises R and D of one joint over a grid: most unstable at 0 lb while 5 and 10 lb stay stable."""
+    s = explicit(setup())
+    linear = arms(s)
+    low = tuple(JointGains(name, **LOW) for name in WRIST)
+    pairs = [(r, d) for r in GRID_R for d in GRID_D]
+    candidates = [
+        tuple(replace(g, R=float(r), D=float(d)) if g.name == joint else g for g in low) for r, d in pairs
+    ]
+    blocks = np.array([blocks_of(s, gains) for gains in candidates])
+
+    def at_home(lb: int, some: NDArray[np.void]) -> tuple[Floats, Floats]:
+        return growth(closed_loop(linear["home", lb][0], some))
+
+    rates = np.array([at_home(lb, blocks)[0] for lb in PAYLOADS])
+    best = int(np.where((rates[1:] < -1).all(0), rates[0], -np.inf).argmax())
+    cured = blocks_of(s, low)
+    return HighGain(
+        joint,
+        candidates[best],
+        low,
+        {lb: float(rate) for lb, rate in zip(PAYLOADS, rates[:, best], strict=True)},
+        {lb: float(at_home(lb, cured)[0]) for lb in PAYLOADS},
+        float(at_home(0, blocks[best])[1]),
+        len(pairs),
+    )
 
 
 def main() -> None:

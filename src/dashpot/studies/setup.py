@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass, replace
 from functools import cache
 
 from dashpot.controller import Controller, ControllerConfig, JointGains, load_controller
+from dashpot.errors import InputWarning
 from dashpot.plant import Payload, Plant, build
 from dashpot.robot import Robot
+from dashpot.sampled import Form
 
 POUND = 0.45359237  # [kg]
 PAYLOADS = (0, 5, 10)  # [lb], section VII
@@ -51,16 +54,25 @@ class Setup:
     config: ControllerConfig
     plants: dict[int, Plant]
 
-    def controller(self, gains: tuple[JointGains, ...] | None = None) -> Controller:
-        """The wrist controller, with other gains if given."""
-        config = self.config if gains is None else replace(self.config, joints=gains)
-        return Controller.from_config(config, self.robot.drives)
+    def controller(self, gains: tuple[JointGains, ...] | None = None, form: Form | None = None) -> Controller:
+        """The wrist controller, with other gains and form if given (those of Fig. 6 are meant to fail)."""
+        if gains is None:
+            return Controller.from_config(self.config, self.robot.drives)
+        config = replace(self.config, joints=gains, form=form or self.config.form)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", InputWarning)
+            return Controller.from_config(config, self.robot.drives)
 
 
 @cache
 def setup() -> Setup:
     """Loads the arm and builds it with each payload."""
     robot = Robot.load("k807")
-    beam = Payload(BEAM_MASS, on_beam(OFFSET / 2), length=OFFSET)
-    plants = {lb: build(robot, PERIOD, [beam, Payload(lb * POUND, on_beam(OFFSET))]) for lb in PAYLOADS}
+    plants = {lb: loaded(robot, lb) for lb in PAYLOADS}
     return Setup(robot, load_controller("k807-wrist"), plants)
+
+
+def loaded(robot: Robot, pounds: float) -> Plant:
+    """The arm with the beam and a weight [lb] at its end."""
+    beam = Payload(BEAM_MASS, on_beam(OFFSET / 2), length=OFFSET)
+    return build(robot, PERIOD, [beam, Payload(pounds * POUND, on_beam(OFFSET))])

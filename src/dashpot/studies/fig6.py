@@ -1,0 +1,346 @@
+"""Fig. 6: the paper's two instabilities, found on the linearised arm and shown in the nonlinear simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from dashpot.controller import Controller, load_controller
+from dashpot.linear import closed_loop, linearise
+from dashpot.plots import BLUE, GREEN, GREY, PURPLE, VERMILLION, Figure, new_figure
+from dashpot.sampled import Floats
+from dashpot.simulate import Event, Recording, Scenario, run_many
+from dashpot.studies.instability import (
+    PARALLEL,
+    HighGain,
+    blocks_of,
+    describe_resonance,
+    growth,
+    poses,
+    search_high_gain,
+)
+from dashpot.studies.relations import Relation, judge
+from dashpot.studies.setup import PERIOD, RELEASE, WRIST, Setup, loaded, setup
+from dashpot.trajectory import Trajectory, multisine
+
+DURATION = 5.0  # [s]
+SWING = 0.2  # amplitude of the other joints [rad]
+STRAIGHT = 1.5  # [s], when joint 6 is nearly straight
+ENGAGED = 1.25  # [s], when the virtual passive controllers take over from the position loops
+EARLY, LATE, AFTER = (1.5, 2.0), (2.5, 3.0), (3.75, 4.75)  # [s]
+FAST, SLOW = 20.0, 2.0  # corners of the high-pass that separates vibration from motion, (a) and (b) [Hz]
+
+CASES: dict[str, tuple[int, tuple[str, ...]]] = {
+    "0 lb": (0, ()),
+    "5 lb": (5, ()),
+    "10 lb": (10, ()),
+    "5 lb, joint 5 bypassed": (5, ("joint5",)),
+    "5 lb, joint 7 bypassed": (5, ("joint7",)),
+    "5 lb, joint 6 bypassed": (5, ("joint6",)),
+}
+"""Resonance runs: payload [lb] and bypassed joints."""
+HIGH_CASES = {"high gains, 0 lb": (0, True), "high gains, 10 lb": (10, True), "lower gains, 0 lb": (0, False)}
+"""High-gain runs: payload [lb] and whether the gains are high."""
+
+
+@dataclass(frozen=True)
+class Fig6:
+    """Vibration of the sensed torque.
+
+    Attributes:
+        high: What the high-gain search found.
+        high_rms: Case -> RMS of that joint's torque above 20 Hz, (seeds,) [N m].
+        resonant: What the linearised arm says of the resonant gains.
+        rms: Case -> RMS above 2 Hz, (seeds, windows early/late/after, joints 5-7) [N m].
+        at_rest: RMS of joint 5 at 5 lb, late, when engaged from the start instead, (seeds,) [N m].
+        window: Payloads [lb] and growth rates [1/s] of the linearised arm, (2, n).
+        time: (ticks,) [s].
+        high_traces: Case -> torque of the high-gain joint, first seed, (ticks,) [N m].
+        traces: Case -> torque of joint 5, first seed, (ticks,) [N m].
+    """
+
+    high: HighGain
+    high_rms: dict[str, Floats]
+    resonant: dict[str, Any]
+    rms: dict[str, Floats]
+    at_rest: Floats
+    window: Floats
+    time: Floats
+    high_traces: dict[str, Floats]
+    traces: dict[str, Floats]
+
+
+def towards_parallel(s: Setup, seed: int) -> Trajectory:
+    """A random motion during which joint 6 goes from home to nearly straight."""
+    base = multisine(s.robot.home, DURATION, PERIOD, seed, amplitude=SWING)
+    j = s.robot.index("joint6")
+    u = np.clip(base.time / STRAIGHT, 0, 1)
+    share = [
+        u**3 * (10 - 15 * u + 6 * u**2),
+        30 * u**2 * (1 - u) ** 2 / STRAIGHT,
+        60 * u * (1 - u) * (1 - 2 * u) / STRAIGHT**2,
+    ]
+    way = PARALLEL - s.robot.home[j]
+    arrays = [a.copy() for a in (base.position, base.velocity, base.acceleration)]
+    for array, part, offset in zip(arrays, share, (s.robot.home[j], 0.0, 0.0), strict=True):
+        array[:, j] = offset + way * part
+    return Trajectory(PERIOD, *arrays, start=base.start)
+
+
+def vibration(recording: Recording, joints: list[int], corner: float, window: tuple[float, float]) -> Floats:
+    """RMS of the sensed torque above a corner [Hz] in a time window [s], (joints,) [N m]."""
+    filtered = sosfiltfilt(
+        butter(4, corner, "high", fs=1 / PERIOD, output="sos"), recording.torque[:, joints], axis=0
+    )
+    inside = (recording.time >= window[0]) & (recording.time < window[1])
+    rms: Floats = np.sqrt((filtered[inside] ** 2).mean(0))
+    return rms
+
+
+def run(seeds: int = 10, threads: int | None = None) -> Fig6:
+    """Searches the high gains, checks the resonant ones on the linearised arm, and simulates every case and seed."""
+    s = setup()
+    high = search_high_gain()
+    controllers = {True: s.controller(high.high, "explicit"), False: s.controller(high.low, "explicit")}
+    resonant = load_controller("k807-resonant")
+    controller = s.controller(resonant.joints)
+    j = s.robot.index(high.joint)
+
+    scenarios = []
+    for seed in range(seeds):
+        path = multisine(s.robot.home, 3.0, PERIOD, seed, amplitude=SWING)
+        scenarios += [
+            Scenario(s.plants[lb], controllers[is_high], path, seed=seed, label=case)
+            for case, (lb, is_high) in HIGH_CASES.items()
+        ]
+    fast = _collect(scenarios, threads, "Fig. 6: high gains")
+    high_rms = {
+        case: np.array([vibration(r, [j], FAST, (1.0, 3.0))[0] for r in runs]) for case, runs in fast.items()
+    }
+
+    scenarios = []
+    for seed in range(seeds):
+        path = towards_parallel(s, seed)
+        scenarios += [_resonance(s, controller, path, seed, case) for case in CASES]
+        scenarios.append(
+            Scenario(
+                s.plants[5],
+                controller,
+                path,
+                [Event(RELEASE, "all", "position_loop", False)],
+                seed=seed,
+                label="from rest",
+            )
+        )
+    slow = _collect(scenarios, threads, "Fig. 6: resonance")
+    wrist = [s.robot.index(name) for name in WRIST]
+    rms = {
+        case: np.array([[vibration(r, wrist, SLOW, w) for w in (EARLY, LATE, AFTER)] for r in slow[case]])
+        for case in CASES
+    }
+    return Fig6(
+        high,
+        high_rms,
+        describe_resonance(s, resonant.joints),
+        rms,
+        np.array([vibration(r, wrist[:1], SLOW, LATE)[0] for r in slow["from rest"]]),
+        _window(s, controller),
+        slow["5 lb"][0].time,
+        {case: runs[0].torque[:, j] for case, runs in fast.items()},
+        {case: slow[case][0].torque[:, wrist[0]] for case in CASES},
+    )
+
+
+def _resonance(s: Setup, controller: Controller, path: Trajectory, seed: int, case: str) -> Scenario:
+    lb, bypassed = CASES[case]
+    events = [Event(path.start, "all", "mode", "bypass"), Event(RELEASE, "all", "position_loop", False)]
+    events += [Event(ENGAGED, name, "mode", "active") for name in WRIST if name not in bypassed]
+    return Scenario(s.plants[lb], controller, path, events, seed=seed, label=case)
+
+
+def _collect(scenarios: list[Scenario], threads: int | None, label: str) -> dict[str, list[Recording]]:
+    """Runs scenarios and sorts the recordings by label, in the order of the seeds."""
+    done: dict[str, list[Recording]] = {}
+    for scenario, recording in zip(
+        scenarios, run_many(scenarios, threads=threads, progress=label), strict=True
+    ):
+        assert isinstance(recording, Recording)
+        done.setdefault(scenario.label, []).append(recording)
+    return done
+
+
+def _window(s: Setup, controller: Controller) -> Floats:
+    """Growth rate of the linearised arm over the payload, axes nearly parallel."""
+    pounds = np.linspace(0, 12, 25)
+    pose = poses(s)["parallel"][0]
+    rates = []
+    for lb in pounds:
+        arm = linearise(loaded(s.robot, float(lb)), WRIST, pose, PERIOD, s.config.sampling)
+        rates.append(float(growth(closed_loop(arm, controller.blocks))[0]))
+    return np.array([pounds, rates])
+
+
+def relations(result: Fig6) -> list[Relation]:
+    """Every observation of the paper's two instabilities."""
+    high = result.high_rms
+    name = result.high.joint
+    loud = high["high gains, 0 lb"]
+    found = [
+        judge(
+            "fig6", f"(a) {name}, high gains, 0 lb: vibration above {FAST:.0f} Hz [N m]", loud, "at least", 1
+        ),
+        judge("fig6", "(a) vibration at 10 lb / at 0 lb", high["high gains, 10 lb"] / loud, "at most", 0.2),
+        judge(
+            "fig6", "(a) vibration with lower gains / high", high["lower gains, 0 lb"] / loud, "at most", 0.2
+        ),
+    ]
+    early, late, after = 0, 1, 2
+    rolls = [0, 2]  # joints 5 and 7
+    five = result.rms["5 lb"]
+    for j, joint in zip(rolls, ("joint 5", "joint 7"), strict=True):
+        found.append(judge("fig6", f"(b) 5 lb, {joint}: vibration [N m]", five[:, late, j], "at least", 1.5))
+        found.append(
+            judge(
+                "fig6",
+                f"(b) 5 lb, {joint}: grows in 1 s by",
+                five[:, late, j] / five[:, early, j],
+                "at least",
+                1.2,
+            )
+        )
+        bypassed = result.rms["5 lb, joint 6 bypassed"]
+        found.append(
+            judge(
+                "fig6",
+                f"(b) 5 lb, {joint}, joint 6 bypassed: still grows by",
+                bypassed[:, late, j] / bypassed[:, early, j],
+                "at least",
+                1.2,
+            )
+        )
+
+    def share(case: str) -> Floats:
+        ratio: Floats = (result.rms[case][:, late][:, rolls] / five[:, late][:, rolls]).max(1)
+        return ratio
+
+    ten = result.rms["10 lb"]
+    found += [
+        judge("fig6", "(b) 0 lb: vibration / at 5 lb", share("0 lb"), "at most", 0.3),
+        judge(
+            "fig6",
+            "(b) 10 lb: left after 1 s of what engaging excited",
+            (ten[:, late] / ten[:, early])[:, rolls].max(1),
+            "at most",
+            0.8,
+        ),
+        judge(
+            "fig6",
+            "(b) joint 5 bypassed: vibration / at 5 lb",
+            share("5 lb, joint 5 bypassed"),
+            "at most",
+            0.3,
+        ),
+        judge(
+            "fig6",
+            "(b) joint 7 bypassed: vibration / at 5 lb",
+            share("5 lb, joint 7 bypassed"),
+            "at most",
+            0.3,
+        ),
+        judge(
+            "fig6",
+            "(b) offset removed at 3 s: vibration after / before",
+            (five[:, after] / five[:, late])[:, rolls].max(1),
+            "at most",
+            0.3,
+        ),
+    ]
+    return found
+
+
+def numbers(result: Fig6) -> dict[str, Any]:
+    """Gains, growth rates and vibration over seeds."""
+    high = result.high
+    return {
+        "a": {
+            "joint": high.joint,
+            "gains": {"high": [g.R for g in high.high], "high_D": [g.D for g in high.high]},
+            "growth_per_s": {f"{lb} lb": rate for lb, rate in high.growth.items()},
+            "growth_low_gains_per_s": {f"{lb} lb": rate for lb, rate in high.growth_low.items()},
+            "frequency_hz": high.frequency,
+            "vibration_rms_Nm": {case: values.tolist() for case, values in result.high_rms.items()},
+        },
+        "b": {
+            **result.resonant,
+            "windows_s": {"early": EARLY, "late": LATE, "after": AFTER},
+            "vibration_rms_Nm": {
+                case: {
+                    name: {w: values[:, k, j].tolist() for k, w in enumerate(("early", "late", "after"))}
+                    for j, name in enumerate(WRIST)
+                }
+                for case, values in result.rms.items()
+            },
+            "engaged_from_rest_joint5_late_rms_Nm": result.at_rest.tolist(),
+            "growth_over_payload": {
+                "lb": result.window[0].tolist(),
+                "growth_per_s": result.window[1].tolist(),
+            },
+        },
+    }
+
+
+def draw(result: Fig6) -> Figure:
+    """(a) top row, (b) below: sensed torque against time, first seed."""
+    figure, axes = new_figure(3, 3, 9.6, 7.2, sharex="row")
+    for axis, (case, torque), color in zip(
+        axes[0], result.high_traces.items(), (VERMILLION, BLUE, GREEN), strict=True
+    ):
+        time = result.time[: len(torque)]
+        axis.plot(time, torque, color=color, lw=0.7)
+        axis.set_title(f"(a) {case}")
+        axis.set_xlim(0, 3)
+    axes[0, 0].set_ylabel(f"{result.high.joint}\nsensed torque [N m]")
+    _share_range(axes[0])
+    for axis, (case, torque) in zip(axes[1:].ravel(), result.traces.items(), strict=True):
+        color = {"0 lb": BLUE, "5 lb": GREEN, "10 lb": VERMILLION}.get(case, PURPLE)
+        axis.plot(result.time, torque, color=color, lw=0.9)
+        axis.axvline(RELEASE, color=GREY, lw=0.8)
+        axis.axvline(ENGAGED, color=GREY, lw=0.8, ls=":")
+        axis.set_title(f"(b) {case}")
+        axis.set_xlim(0, DURATION)
+    for axis in axes[1:, 0]:
+        axis.set_ylabel("joint5\nsensed torque [N m]")
+    _share_range(axes[1:].ravel())
+    for axis in axes[2]:
+        axis.set_xlabel("time [s]")
+    low, top = axes[1, 0].get_ylim()
+    axes[1, 0].text(RELEASE + 0.05, top, "offset\nremoved", color=GREY, fontsize=8, va="top")
+    axes[1, 0].text(ENGAGED - 0.05, top, "VPC\nengaged", color=GREY, fontsize=8, va="top", ha="right")
+    figure.suptitle("Fig. 6  (a) one torque loop too strong for a light load   (b) resonance at 5 lb only")
+    return figure
+
+
+def _share_range(axes: Any) -> None:
+    low = min(axis.get_ylim()[0] for axis in axes)
+    high = max(axis.get_ylim()[1] for axis in axes)
+    for axis in axes:
+        axis.set_ylim(low, high)
+
+
+def draw_window(result: Fig6) -> Figure:
+    """Growth rate of the resonance over the payload."""
+    figure, axes = new_figure(1, 1, 6.0, 3.2)
+    axis = axes[0, 0]
+    pounds, rates = result.window
+    axis.axhline(0, color=GREY, lw=1)
+    axis.fill_between(pounds, 0, rates, where=rates > 0, color=VERMILLION, alpha=0.2, interpolate=True)
+    axis.plot(pounds, rates, color=BLUE)
+    for lb in (0, 5, 10):
+        axis.plot(lb, np.interp(lb, pounds, rates), "o", color=BLUE, ms=7, fillstyle="none", mew=1.8)
+    axis.set_xlabel("payload [lb]")
+    axis.set_ylabel("growth rate [1/s]")
+    axis.set_title("Linearised arm, axes 5 and 7 nearly parallel: the middle weight oscillates")
+    return figure

@@ -1,4 +1,4 @@
-"""The rest position of a closed loop under gravity: where a run starts, so that nothing drops at its beginning."""
+"""The rest position of a closed loop under gravity, from which a run starts without a drop."""
 
 from __future__ import annotations
 

@@ -290,9 +290,10 @@ def _drive_records(model: Any, robot: Robot, ranges: Sequence[tuple[float, float
         inner = drive.inner_loop.gain if drive.inner_loop else 0.0
         record["stiffness"], record["damping"] = drive.stiffness, drive.damping
         record["half_gap"] = drive.backlash / 2
-        record["hysteresis"], record["hysteresis_stiffness"] = drive.hysteresis, HYSTERESIS * drive.stiffness
+        record["hysteresis"] = drive.hysteresis
+        record["hysteresis_stiffness"] = HYSTERESIS * drive.stiffness
         record["coulomb"] = drive.coulomb_friction * (1 + inner)
-        # Presliding stiffer than the transmission and well damped: a stuck rotor moves by less than tau_c / 3k.
+        # Stiffer than the transmission and well damped: a stuck rotor moves by less than tau_c / 3k.
         presliding = PRESLIDING * drive.stiffness
         record["presliding_stiffness"] = presliding * (1 + inner)
         record["presliding_damping"] = math.sqrt(presliding * drive.rotor_inertia) * (1 + inner)

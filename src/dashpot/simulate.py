@@ -197,7 +197,7 @@ def _events(scenario: Scenario) -> NDArray[np.void]:
 
 
 def _start(scenario: Scenario, core: Any, events: NDArray[np.void], data: Any) -> None:
-    """Puts the arm at rest in equilibrium with the first reference, or at it with slack springs if there is none."""
+    """Puts the arm at rest in equilibrium with the first reference; without one, at it with slack springs."""
     plant, controller = scenario.plant, scenario.controller
     reference = scenario.trajectory.position[0]
     joints = controller.joints if controller else ()

@@ -35,6 +35,13 @@ class Trajectory:
         """(ticks,) [s]."""
         return self.start + self.period * np.arange(len(self.position), dtype=np.float64)
 
+    def until(self, time: float) -> Trajectory:
+        """The part before a time [s]."""
+        keep = int(np.searchsorted(self.time, time - 1e-9))
+        return Trajectory(
+            self.period, self.position[:keep], self.velocity[:keep], self.acceleration[:keep], self.start
+        )
+
 
 def hold(pose: Sequence[float], duration: float, period: float) -> Trajectory:
     """Rest at a pose (n,) [rad] for a duration [s]."""

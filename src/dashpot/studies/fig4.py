@@ -64,19 +64,20 @@ def relations(result: Fig4) -> list[Relation]:
     for j, name in enumerate(WRIST):
         ratio = result.deviation[:, heavy, :, j] / result.deviation[:, light, :, j]
         pooled = result.deviation[:, heavy, :, j].mean(0) / result.deviation[:, light, :, j].mean(0)
-        text = f"{name}: error deviation at 10 lb / at 0 lb, "
-        found.append(judge("fig4", text + "PD alone", ratio[:, pd], "at least", 3, together=pooled[pd]))
-        found.append(judge("fig4", text + "with VPC", ratio[:, vpc], "at most", 1.5, together=pooled[vpc]))
-        found.append(
+        text = "error deviation at 10 lb / at 0 lb, "
+        found += [
+            judge("fig4", name, text + "PD alone", ratio[:, pd], "at least", 3, together=pooled[pd]),
+            judge("fig4", name, text + "VPC", ratio[:, vpc], "at most", 1.5, together=pooled[vpc]),
             judge(
                 "fig4",
-                f"{name}: |mean error| at 10 lb, with VPC / PD alone",
+                name,
+                "|mean error| at 10 lb, VPC / PD alone",
                 size[:, heavy, vpc, j] / size[:, heavy, pd, j],
                 "at most",
                 0.5,
                 together=size[:, heavy, vpc, j].mean() / size[:, heavy, pd, j].mean(),
-            )
-        )
+            ),
+        ]
     return found
 
 
@@ -121,10 +122,12 @@ def draw(result: Fig4) -> Figure:
                 axis.plot(
                     x, degrees.mean(0), marker + "-", color=color, ms=8, mew=2, fillstyle="none", label=label
                 )
-            axis.set_ylim(bottom=0)
             axis.set_xticks(PAYLOADS)
         axes[0, j].set_title(f"{name} ({('roll', 'pitch', 'toolplate roll')[j]})")
         axes[1, j].set_xlabel("payload [lb]")
+    for row, values in enumerate((np.abs(result.mean), result.deviation)):
+        top = np.degrees(values.max())
+        axes[row, 0].set_ylim(-0.04 * top, 1.05 * top)
     axes[0, 0].set_ylabel("|mean error| [deg]")
     axes[1, 0].set_ylabel("standard deviation [deg]")
     axes[0, 0].legend(loc="upper left")

@@ -17,6 +17,7 @@ class Relation:
 
     Attributes:
         figure: "fig4", "fig5" or "fig6".
+        subject: Joint, payload or both; "" where there is only one.
         text: What is compared, with its unit.
         value: The value judged: over all seeds, see ``judged``.
         sense: "at least" or "at most".
@@ -29,6 +30,7 @@ class Relation:
     """
 
     figure: str
+    subject: str
     text: str
     value: float
     sense: Sense
@@ -50,12 +52,20 @@ class Relation:
 
 
 def judge(
-    figure: str, text: str, per_seed: ArrayLike, sense: Sense, limit: float, *, together: float | None = None
+    figure: str,
+    subject: str,
+    text: str,
+    per_seed: ArrayLike,
+    sense: Sense,
+    limit: float,
+    *,
+    together: float | None = None,
 ) -> Relation:
     """Judges one relation.
 
     Args:
         figure: Its figure.
+        subject: Joint or payload.
         text: What is compared.
         per_seed: Value of each seed, (seeds,).
         sense: "at least" or "at most".
@@ -67,6 +77,7 @@ def judge(
     worst = values.min() if sense == "at least" else values.max()
     return Relation(
         figure,
+        subject,
         text,
         float(worst if together is None else together),
         sense,

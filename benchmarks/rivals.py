@@ -1,4 +1,4 @@
-"""What `bench.py` compares with: the same joint blocks in NumPy, scipy.signal and python-control, and a Python loop."""
+"""What `bench.py` compares with: the same joint blocks in NumPy, scipy.signal, python-control; a Python loop."""
 
 from __future__ import annotations
 

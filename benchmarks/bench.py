@@ -2,9 +2,10 @@
 
     python benchmarks/bench.py [--json FILE] [--check]
 
-Alternatives take turns, in rounds of some milliseconds, and a round counts CPU time of the thread, so that other
-programs disturb all of them alike. The rounds are dealt into five sets; each gives a best-of, or a ratio of two.
-Shown is the median of the five and, as spread, their smallest and largest. A target is missed when all five miss it.
+Alternatives take turns, in rounds of some milliseconds, and a round counts CPU time of the thread, so that
+other programs disturb all of them alike. The rounds are dealt into five sets; each gives a best-of, or a
+ratio of two. Shown is the median of the five and, as spread, their smallest and largest. A target is missed
+when all five miss it.
 """
 
 from __future__ import annotations
@@ -15,12 +16,10 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # idle BLAS threads spin and would dis
 
 import argparse
 import copy
-import ctypes
 import json
 import platform
 import sys
 import time
-from collections.abc import Callable
 from itertools import repeat
 from pathlib import Path
 from typing import Any
@@ -28,8 +27,8 @@ from typing import Any
 import mujoco
 import numpy as np
 import rivals
+from measure import SETS, Rows, Timed, bytes_in_use, calls, interleave
 from rich.console import Console
-from rich.table import Table
 
 import dashpot._native as _native
 from dashpot import simulate
@@ -39,80 +38,6 @@ from dashpot.robot import Robot
 from dashpot.sampled import NX, Floats
 from dashpot.simulate import Scenario, run, run_many
 from dashpot.trajectory import multisine
-
-SETS = 5
-Timed = Callable[[], float]
-
-
-class Rows:
-    """Collects and prints the results."""
-
-    def __init__(self) -> None:
-        self.table = Table(title="dashpot benchmarks", title_justify="left")
-        for name in ("what", "measured", "spread", "target", ""):
-            self.table.add_column(name, justify="left" if name in ("what", "") else "right")
-        self.results: dict[str, Any] = {}
-        self.missed: list[str] = []
-
-    def section(self, title: str) -> None:
-        self.table.add_section()
-        self.table.add_row(f"[bold]{title}[/bold]")
-
-    def add(
-        self,
-        key: str,
-        what: str,
-        sets: Floats,
-        unit: str = "x",
-        *,
-        least: float | None = None,
-        most: float | None = None,
-        note: str = "",
-    ) -> None:
-        """One row: `sets` are the five measurements."""
-        value, low, high = float(np.median(sets)), float(sets.min()), float(sets.max())
-        digits = "{:.0f}" if unit == "B" else "{:#.3g}"
-        target, verdict = "", note
-        if least is not None or most is not None:
-            target = f">= {least:g} {unit}" if least is not None else f"< {most:g} {unit}"
-            miss = high < least if least is not None else low >= most
-            verdict = f"[red]missed[/red] {note}" if miss else f"[green]met[/green] {note}"
-            if miss:
-                self.missed.append(key)
-        shown = [digits.format(v) for v in (value, low, high)]
-        self.table.add_row(what, f"{shown[0]} {unit}", f"{shown[1]}..{shown[2]}", target, verdict)
-        self.results[key] = {
-            "value": value,
-            "low": low,
-            "high": high,
-            "unit": unit,
-            "least": least,
-            "most": most,
-        }
-
-
-def interleave(functions: dict[str, Timed], rounds: int) -> dict[str, Floats]:
-    """Best-of of each function's returned seconds in `SETS` sets of rounds: name -> (SETS,)."""
-    for function in functions.values():
-        function()  # warm up
-    taken = {name: np.zeros((rounds, SETS)) for name in functions}
-    for i in range(rounds):
-        for j in range(SETS):
-            for name, function in functions.items():
-                taken[name][i, j] = function()
-    return {name: seconds.min(0) for name, seconds in taken.items()}
-
-
-def calls(function: Callable[..., object], count: int, *args: object) -> Timed:
-    """CPU seconds per call of `function(*args)` from a Python loop."""
-
-    def timed() -> float:
-        begin = time.thread_time()
-        for _ in repeat(None, count):
-            function(*args)
-        return (time.thread_time() - begin) / count
-
-    return timed
 
 
 def fr3_config(robot: Robot, K: float = 0.0) -> ControllerConfig:
@@ -133,6 +58,7 @@ class Loop:
         self.trajectory = multisine(robot.home, seconds, config.period, 0, amplitude=0.3, lead_in=seconds / 3)
         self.steps = round(config.period / self.plant.timestep) * len(self.trajectory.position)
         self.data = mujoco.MjData(self.plant.model)
+        self.rates = f"{1 / config.period:.0f} Hz, physics {self.plant.timestep * 1e6:.0f} us"
 
     def scenario(self, seed: int = 0, plant: Plant | None = None) -> Scenario:
         return Scenario(plant or self.plant, self.controller, self.trajectory, seed=seed)
@@ -209,9 +135,7 @@ def closed_loop(rows: Rows) -> None:
     fr3 = Loop(robot, fr3_config(robot), 0.24)
     functions = {"raw": fr3.raw, "native": fr3.native, "whole": fr3.whole, **python_loops(fr3)}
     best = interleave(functions, 20)
-    rows.section(
-        f"Closed loop, speed relative to raw mj_step: fr3, 7 of 7 joints at 1 kHz, {fr3.plant.step_said}"
-    )
+    rows.section("Closed loop against raw mj_step", f"fr3, 7 of 7 joints, {fr3.rates}")
     rows.add("fr3_raw", "raw mj_step, per physics step", best["raw"] * 1e6, "us")
     rows.add("fr3_ratio", "native loop, noise, recording on", best["raw"] / best["native"], least=0.95)
     note = f"of {len(fr3.trajectory.position) * 1e-3:.2g} s simulated"
@@ -225,7 +149,7 @@ def closed_loop(rows: Rows) -> None:
     )
     k807 = Loop(Robot.load("k807"), load_controller("k807-wrist"), 0.3)
     best = interleave({"raw": k807.raw, "native": k807.native}, 20)
-    rows.section(f"Same, k807, 3 of 7 joints at 200 Hz, {k807.plant.step_said}")
+    rows.section("Closed loop against raw mj_step", f"k807, 3 of 7 joints, {k807.rates}")
     rows.add("k807_raw", "raw mj_step, per physics step", best["raw"] * 1e6, "us")
     rows.add("k807_ratio", "native loop, noise, recording on", best["raw"] / best["native"])
 
@@ -243,6 +167,8 @@ def controller_step(rows: Rows) -> None:
     controller = Controller.from_config(fr3_config(robot, K=50.0), robot.drives)
     inputs, out = example_inputs(controller), np.zeros(7)
     blocks, period = controller.blocks, controller.period
+    one = Controller.from_config(fr3_config(robot), robot.drives)  # K_c = 0 as in the bundled files
+    example_inputs(one)
     full = blocks.copy()
     full["nx"], full["A"] = NX, full["A"] + 0.1 * np.eye(NX) * (blocks["A"] == 0)
     large = Controller(full, controller.joints, period)
@@ -263,6 +189,7 @@ def controller_step(rows: Rows) -> None:
 
     functions: dict[str, Timed] = {
         "native": lambda: native(controller.core),
+        "native1": lambda: native(one.core),
         "native4": lambda: native(large.core),
         "out": calls(controller.step, 10_000, out),
         "inputs": calls(controller.step, 10_000, inputs, out),
@@ -274,9 +201,10 @@ def controller_step(rows: Rows) -> None:
     if control:
         functions["control"] = calls(control, 200)
     best = interleave(functions, 12)
-    rows.section("One controller step of 7 joints, 2 states each (in brackets: times the native step)")
+    rows.section("One controller step of 7 joints", "2 states a joint; in brackets: over native")
     for key, what, scale, unit, most in (
         ("native", "native: step_many", 1e9, "ns", 150.0),
+        ("native1", "native, 1 state each (K_c = 0)", 1e9, "ns", None),
         ("native4", f"native, {NX} states each", 1e9, "ns", None),
         ("out", "Python: step(out)", 1e6, "us", 1.0),
         ("inputs", "Python: step(inputs, out)", 1e6, "us", None),
@@ -292,31 +220,8 @@ def controller_step(rows: Rows) -> None:
             rows.table.add_row(what, "not installed", "", "", "pip install dashpot\\[bench]")
 
 
-def bytes_in_use() -> int | None:
-    """What glibc's malloc has given out and not got back, mapped blocks included; None without glibc."""
-    libc = ctypes.CDLL(None)
-    if not hasattr(libc, "mallinfo2"):
-        return None
-    names = [
-        "arena",
-        "ordblks",
-        "smblks",
-        "hblks",
-        "hblkhd",
-        "usmblks",
-        "fsmblks",
-        "uordblks",
-        "fordblks",
-        "keepcost",
-    ]
-    fields = type("Mallinfo2", (ctypes.Structure,), {"_fields_": [(name, ctypes.c_size_t) for name in names]})
-    libc.mallinfo2.restype = fields
-    info = libc.mallinfo2()
-    return int(info.uordblks + info.hblkhd)
-
-
 def allocation(rows: Rows) -> None:
-    rows.section("Memory in use after the steps minus before: malloc's bytes, Python's blocks")
+    rows.section("Memory in use after minus before", "bytes of malloc")
     robot = Robot.load("fr3")
     controller = Controller.from_config(fr3_config(robot), robot.drives)
     example_inputs(controller)
@@ -331,17 +236,17 @@ def allocation(rows: Rows) -> None:
         ("malloc_python", "1e5 calls of step(out)", many),
     ):
         grown, blocks = np.zeros(SETS), 0
+        work()
         bytes_in_use()
         for i in range(SETS):
             before, count = bytes_in_use(), sys.getallocatedblocks()
             work()
-            # an int or two of this measurement itself may be alive
             blocks = max(blocks, sys.getallocatedblocks() - count)
             grown[i] = (bytes_in_use() or 0) - (before or 0)
         if before is None:
             rows.table.add_row(what, "not measured", "", "", "needs glibc's mallinfo2")
         else:
-            rows.add(key, what, grown, "B", most=1, note=f"Python blocks: {blocks:+d}")
+            rows.add(key, what, grown, "B", most=0, note=f"Python blocks: {blocks:+d}")
     rows.table.add_row("the core calls no library at all", "", "", "", "nm -u is empty: tests/test_core.py")
 
 
@@ -356,7 +261,7 @@ def threads(rows: Rows) -> None:
         return time.perf_counter() - begin
 
     best = interleave({"one": lambda: wall(1), "two": lambda: wall(2)}, 2)
-    rows.section(f"run_many, 16 scenarios of 1 s of fr3, wall clock; {os.cpu_count()} cores")
+    rows.section("run_many, 16 scenarios of 1 s of fr3", f"wall clock, {os.cpu_count()} cores")
     rows.add("threads_one", "one thread", best["one"], "s")
     rows.add("threads_speedup", "two threads: times faster", best["one"] / best["two"])
 

@@ -1,4 +1,4 @@
-"""What `bench.py` compares with: the same joint blocks in NumPy, scipy.signal, python-control; a Python loop."""
+"""What `bench.py` compares with: the joint blocks in NumPy, scipy.signal, python-control; a Python loop."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Step = Callable[[], object]
 
 
 class NumpyBlocks:
-    """The blocks as one batched product per tick, with both limits; no modes, blending, latency or NaN guard."""
+    """The blocks as one batched product a tick, with limits; no modes, blending, latency or NaN guard."""
 
     def __init__(self, blocks: Any) -> None:
         n = len(blocks)
@@ -97,7 +97,7 @@ def scipy_dlsim(blocks: Any, w: Floats, period: float) -> Step:
 
 
 def python_control(blocks: Any, w: Floats, period: float) -> Step | None:
-    """`output` and `dynamics` of python-control on all joints as one system; None where it is not installed."""
+    """`output` and `dynamics` of python-control on all joints as one system; None if not installed."""
     try:
         import control
     except ImportError:
@@ -124,8 +124,8 @@ def python_loop(
 ) -> tuple[float, Floats]:
     """The closed loop written in Python: NumPy over the joints, `Controller.step`, ``mj_step``.
 
-    Drives with friction, sensor filter, sensor noise, interval average and torque limit; what the fr3 has not (backlash,
-    hysteresis, inner loop, servo) is left out.
+    Drives with friction, sensor filter, sensor noise, interval average and torque limit; what the fr3 has not
+    (backlash, hysteresis, inner loop, servo) is left out.
 
     Args:
         plant: The arm.

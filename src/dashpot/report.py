@@ -15,7 +15,7 @@ body { font: 16px/1.55 system-ui, sans-serif; color: var(--ink); margin: 0 auto;
 h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 .3rem; }
 h2 { margin: 2.6rem 0 .6rem; font-size: 1.3rem; border-top: 1px solid var(--line); padding-top: 1.2rem; }
 p.lead { color: var(--soft); margin: 0 0 1.5rem; max-width: 46rem; }
-img { max-width: 100%; height: auto; margin: .6rem 0; }
+img { display: block; max-width: 100%; height: auto; margin: .6rem 0; }
 table { border-collapse: collapse; width: 100%; font-size: .9rem; margin: .8rem 0; }
 th, td { text-align: left; padding: .38rem .6rem; border-bottom: 1px solid var(--line); vertical-align: top; }
 th { color: var(--soft); font-weight: 600; }

@@ -296,7 +296,7 @@ def _share_range(axes: Any) -> None:
 
 def draw_window(result: Fig6) -> Figure:
     """Growth rate of the resonance over the payload."""
-    figure, axes = new_figure(1, 1, 6.0, 3.2)
+    figure, axes = new_figure(1, 1, 9.6, 3.0)
     axis = axes[0, 0]
     pounds, rates = result.window
     axis.axhline(0, color=GREY, lw=1)
@@ -306,5 +306,5 @@ def draw_window(result: Fig6) -> Figure:
         axis.plot(lb, np.interp(lb, pounds, rates), "o", color=BLUE, ms=7, fillstyle="none", mew=1.8)
     axis.set_xlabel("payload [lb]")
     axis.set_ylabel("growth rate [1/s]")
-    axis.set_title("Linearised arm, axes 5 and 7 nearly parallel: the middle weight oscillates")
+    axis.set_title("(b) on the linearised arm, axes 5 and 7 nearly parallel: the middle weight oscillates")
     return figure

@@ -49,7 +49,15 @@ class Rows:
         if least is not None or most is not None:
             target = f">= {least:g} {unit}" if least is not None else f"<= {most:g} {unit}"
             miss = high < least if least is not None else low > most
-            verdict = f"[red]missed[/red] {note}" if miss else f"[green]met[/green] {note}"
+            short = value < least if least is not None else value > most
+            word = (
+                "[red]missed[/red]"
+                if miss
+                else "[yellow]short, in the spread[/yellow]"
+                if short
+                else "[green]met[/green]"
+            )
+            verdict = f"{word} {note}"
             if miss:
                 self.missed.append(key)
         shown = [digits.format(v) for v in (value, low, high)]

@@ -101,6 +101,8 @@ nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t 
 }  // namespace
 
 NB_MODULE(_native, m) {
+    // Controllers kept in caches or module globals live until the interpreter ends; that is no leak.
+    nb::set_leak_warnings(false);
     m.attr("BLOCK_SIZE") = sizeof(dp_block);
     m.attr("DRIVE_SIZE") = sizeof(dp_drive);
     m.attr("EVENT_SIZE") = sizeof(dp_event);

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from dashpot.controller import Controller, ControllerConfig, JointGains
-from dashpot.plant import Payload, build, full_mass
+from dashpot.payload import Payload
+from dashpot.plant import build, full_mass
 from dashpot.robot import BUNDLED, Robot
 from dashpot.simulate import Scenario, run
 from dashpot.trajectory import hold

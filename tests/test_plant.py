@@ -15,7 +15,8 @@ from dashpot.controller import Controller, ControllerConfig, JointGains
 from dashpot.drive import Drive, InnerLoop, Servo
 from dashpot.errors import InputError, InputWarning, ModelError
 from dashpot.law import bias_drift, creep_rate, hold_torque, static_R
-from dashpot.plant import HYSTERESIS, Payload, build
+from dashpot.payload import Payload
+from dashpot.plant import HYSTERESIS, build
 from dashpot.robot import Robot
 from dashpot.sampled import VELOCITY_REF, empty_block
 from dashpot.simulate import Event, Scenario, run

@@ -12,10 +12,12 @@ from test_plant import one_joint, torque_source, vpc
 from dashpot.controller import Controller, ControllerConfig, JointGains
 from dashpot.drive import Servo
 from dashpot.errors import InputError
-from dashpot.plant import Payload, build
+from dashpot.payload import Payload
+from dashpot.plant import build
+from dashpot.recording import CHANNELS, Recording
 from dashpot.robot import Robot
 from dashpot.sampled import POSITION_REF, empty_block
-from dashpot.simulate import CHANNELS, Event, Recording, Scenario, run, run_many, simulate
+from dashpot.simulate import Event, Scenario, run, run_many, simulate
 from dashpot.trajectory import Trajectory, hold, multisine
 
 WRIST = tuple(JointGains(f"joint{i}", R=5.0, D=3.0, K=0.5, kp=60.0, kd=4.0) for i in (5, 6, 7))

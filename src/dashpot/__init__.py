@@ -1,1 +1,46 @@
-"""dashpot: virtual passive control for torque-sensed robot joints."""
+"""dashpot: virtual passive control for torque-sensed robot joints.
+
+The names below are imported on first use, so that ``import dashpot`` and ``dashpot --help`` stay fast.
+"""
+
+from importlib import import_module
+from typing import Any
+
+_HOMES = {
+    "Controller": "controller",
+    "ControllerConfig": "controller",
+    "JointGains": "controller",
+    "load_controller": "controller",
+    "Drive": "drive",
+    "DashpotError": "errors",
+    "InputError": "errors",
+    "InputWarning": "errors",
+    "ModelError": "errors",
+    "TorqueFeedbackLaw": "law",
+    "VirtualNetwork": "network",
+    "Payload": "payload",
+    "Plant": "plant",
+    "build": "plant",
+    "Recording": "recording",
+    "Robot": "robot",
+    "Event": "simulate",
+    "Scenario": "simulate",
+    "run": "simulate",
+    "run_many": "simulate",
+    "Trajectory": "trajectory",
+    "hold": "trajectory",
+    "multisine": "trajectory",
+}
+
+__version__ = "0.1.0"
+__all__ = [*_HOMES]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'dashpot' has no attribute {name!r}")
+    return getattr(import_module(f"dashpot.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

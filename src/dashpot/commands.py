@@ -15,10 +15,12 @@ from rich.table import Table
 from dashpot.controller import TORQUE_LIMITED, Controller, load_controller
 from dashpot.errors import InputError, InputWarning
 from dashpot.output import whole_folder
-from dashpot.plant import Payload, Plant, build
+from dashpot.payload import Payload
+from dashpot.plant import Plant, build
 from dashpot.plots import BLUE, GREY, VERMILLION, Figure, new_figure, save
+from dashpot.recording import Recording
 from dashpot.robot import Robot
-from dashpot.simulate import Event, Recording, Scenario, run
+from dashpot.simulate import Event, Scenario, run
 from dashpot.trajectory import Trajectory, hold, multisine
 
 if TYPE_CHECKING:

@@ -23,11 +23,10 @@ from scipy.linalg import eigh, expm
 import dashpot._native as _native
 from dashpot.drive import Drive
 from dashpot.errors import InputError, InputWarning, ModelError
+from dashpot.payload import Payload, hang
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
-from dashpot.tables import check_numbers, number
 
-STEEL = 7850.0  # [kg/m^3], density of payload spheres
 PRESLIDING = 3.0  # presliding stiffness of Coulomb friction over the transmission's; assumed
 HYSTERESIS = 0.25  # stiffness of the hysteresis element over the transmission's; assumed
 STEP_FRACTION = 0.3  # largest product of time step and stiffest natural frequency; about 1 % error in it
@@ -57,35 +56,6 @@ DRIVE_DTYPE = np.dtype(
     align=True,
 )
 """Layout of ``dp_drive`` in native/dashpot_runner.h."""
-
-
-@dataclass(frozen=True)
-class Payload:
-    """A weight on the flange: a steel sphere at an offset, or a rod that reaches from it.
-
-    Attributes:
-        mass: [kg].
-        offset: Centre of mass in the flange frame, (x, y, z) [m]; a number means along x.
-        length: Length of a slender rod centred there, along the offset [m]; 0: a sphere.
-    """
-
-    mass: float = number("kg", 0, 1e4, typical=(0.01, 500), kw_only=False)
-    offset: float | tuple[float, float, float] = 0.0
-    length: float = number("m", 0, 10, default=0.0)
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
-        xyz = np.asarray(self.offset, float)
-        if xyz.shape not in ((), (3,)) or not np.isfinite(xyz).all() or np.abs(xyz).max() > 10:
-            raise InputError(
-                "must be a number or (x, y, z) within 10 m", quantity="payload offset [m]", value=self.offset
-            )
-
-    @property
-    def position(self) -> Floats:
-        """Centre of mass in the flange frame, (3,) [m]."""
-        xyz = np.asarray(self.offset, float)
-        return np.array([float(xyz), 0.0, 0.0]) if xyz.ndim == 0 else xyz
 
 
 @dataclass
@@ -202,55 +172,6 @@ def _insert_drive(spec: Any, rigid: Any, drive: Drive, path: Path | None) -> tup
     return (float(lower), float(upper)) if rigid.jnt_limited[compiled.id] else (-math.inf, math.inf)
 
 
-def _hang(spec: Any, rigid: Any, robot: Robot, payloads: Sequence[Payload]) -> None:
-    """Attaches the payloads to the flange."""
-    body, pos, quat = spec.joint(robot.joints[-1]).parent, np.zeros(3), np.array([1.0, 0, 0, 0])
-    if robot.flange is not None:
-        if spec.site(robot.flange) is None:
-            known = ", ".join(s.name for s in spec.sites) or "none"
-            raise ModelError(
-                f"{robot.file}: flange = {robot.flange!r}: no such site in {robot.model}; sites: {known}"
-            )
-        site = rigid.site(robot.flange)
-        body, pos, quat = spec.site(robot.flange).parent, site.pos, site.quat
-    for i, load in enumerate(payloads):
-        if load.mass == 0:
-            continue
-        child = body.add_body(name=f"payload{i}", pos=pos, quat=quat)
-        centre = load.position
-        radius = (3 * load.mass / (4 * math.pi * STEEL)) ** (1 / 3)
-        inertia = np.full(3, 0.4 * load.mass * radius**2)
-        child.mass, child.ipos, child.explicitinertial = load.mass, centre, True
-        reach = np.linalg.norm(centre)
-        if load.length > 0 and reach > 0:
-            along = centre / reach
-            tip = along * load.length / 2
-            radius = max(math.sqrt(load.mass / (STEEL * math.pi * load.length)), 0.004)
-            full = load.mass * load.length**2 / 12 * (np.eye(3) - np.outer(along, along))
-            full += 0.5 * load.mass * radius**2 * np.outer(along, along)
-            child.fullinertia = full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-            child.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-                size=[radius, 0, 0],
-                fromto=[*(centre - tip), *(centre + tip)],
-                rgba=[0.3, 0.3, 0.33, 1],
-                mass=load.mass,  # counts where the file says inertiafromgeom="true"
-                contype=0,
-                conaffinity=0,
-            )
-        else:
-            child.inertia = inertia
-            child.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_SPHERE,
-                size=[radius, 0, 0],
-                pos=centre,
-                rgba=[0.84, 0.37, 0.0, 1],
-                mass=load.mass,
-                contype=0,
-                conaffinity=0,
-            )
-
-
 def stiffest_mode(model: Any, drives: NDArray[np.void], poses: Sequence[Floats]) -> float:
     """Highest natural frequency of rotors against links over some poses [rad/s]."""
     data = mujoco.MjData(model)
@@ -364,7 +285,7 @@ def build(robot: Robot, period: float, payloads: Sequence[Payload] = ()) -> Plan
         raise InputError(f"at most {_native.MAX_JOINTS} joints can be simulated", file=robot.file)
     spec, rigid = load_spec(robot)
     ranges = [_insert_drive(spec, rigid, drive, robot.model) for drive in robot.drives]
-    _hang(spec, rigid, robot, payloads)
+    hang(spec, rigid, robot, payloads)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # A diverging run must be reported, not silently reset; the plant has no contacts yet.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from dashpot.plots import BLUE, VERMILLION, Figure, new_figure
+from dashpot.recording import Recording
 from dashpot.sampled import Floats
-from dashpot.simulate import Event, Recording, Scenario, run_many
+from dashpot.simulate import Event, Scenario, run_many
 from dashpot.studies.relations import Relation, judge
 from dashpot.studies.setup import AMPLITUDE, PAYLOADS, PERIOD, WRIST, setup
 from dashpot.trajectory import multisine

@@ -9,8 +9,9 @@ import numpy as np
 
 from dashpot.law import hold_torque, static_R
 from dashpot.plots import BLUE, GREEN, GREY, VERMILLION, Figure, new_figure
+from dashpot.recording import Recording
 from dashpot.sampled import Floats
-from dashpot.simulate import Event, Recording, Scenario, run_many
+from dashpot.simulate import Event, Scenario, run_many
 from dashpot.studies.relations import Relation, judge
 from dashpot.studies.setup import AMPLITUDE, PAYLOADS, PERIOD, RELEASE, setup
 from dashpot.trajectory import multisine

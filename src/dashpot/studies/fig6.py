@@ -11,8 +11,9 @@ from scipy.signal import butter, sosfiltfilt
 from dashpot.controller import Controller, load_controller
 from dashpot.linear import closed_loop, linearise
 from dashpot.plots import BLUE, GREEN, GREY, PURPLE, VERMILLION, Figure, new_figure
+from dashpot.recording import Recording
 from dashpot.sampled import Floats
-from dashpot.simulate import Event, Recording, Scenario, run_many
+from dashpot.simulate import Event, Scenario, run_many
 from dashpot.studies.instability import (
     PARALLEL,
     HighGain,

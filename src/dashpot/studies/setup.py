@@ -9,7 +9,8 @@ from functools import cache
 
 from dashpot.controller import Controller, ControllerConfig, JointGains, load_controller
 from dashpot.errors import InputWarning
-from dashpot.plant import Payload, Plant, build
+from dashpot.payload import Payload
+from dashpot.plant import Plant, build
 from dashpot.robot import Robot
 from dashpot.sampled import Form
 

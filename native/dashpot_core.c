@@ -25,7 +25,13 @@ int dp_init(dp_controller *c, const dp_block *blocks, int n)
     }
     c->n = n;
     for (int j = 0; j < n; j++) {
-        c->block[j] = blocks[j];
+        dp_block *b = &c->block[j];
+        *b = blocks[j];
+        for (int i = b->nx; i < DP_NX; i++) { /* dot_x reads all of x */
+            b->C[i] = 0.0;
+            for (int k = 0; k < DP_NX; k++)
+                b->A[k][i] = 0.0;
+        }
         c->state[j].mode = DP_MODE_ACTIVE;
         c->state[j].position_loop = 1;
     }
@@ -44,12 +50,17 @@ void dp_reset(dp_controller *c)
     }
 }
 
-static double dot(const double *a, const double *b, int n)
+/* Products of fixed length, summed as trees: no loop, half the latency of a running sum. Entries beyond
+ * nx are zero (dp_init sees to it). */
+static double dot_x(const double *a, const double *x)
 {
-    double sum = 0.0;
-    for (int i = 0; i < n; i++)
-        sum += a[i] * b[i];
-    return sum;
+    return (a[0] * x[0] + a[1] * x[1]) + (a[2] * x[2] + a[3] * x[3]);
+}
+
+static double dot_w(const double *a, const double *w)
+{
+    return ((a[0] * w[0] + a[1] * w[1]) + (a[2] * w[2] + a[3] * w[3])) +
+           ((a[4] * w[4] + a[5] * w[5]) + (a[6] * w[6] + a[7] * w[7]));
 }
 
 /* Issues the torque u (known finite): fades out a change of mode, then applies the limits. */
@@ -94,8 +105,8 @@ static int used(const dp_block *b, int mode, int input)
 static double output(const dp_block *b, const dp_state *s, const double *w)
 {
     if (s->mode == DP_MODE_ACTIVE)
-        return dot(b->C, s->x, b->nx) + dot(b->D, w, DP_NW);
-    return s->mode == DP_MODE_BYPASS ? dot(b->bypass, w, DP_NW) : 0.0;
+        return dot_x(b->C, s->x) + dot_w(b->D, w);
+    return s->mode == DP_MODE_BYPASS ? dot_w(b->bypass, w) : 0.0;
 }
 
 static double joint_step(const dp_block *b, dp_state *s, double *w)
@@ -118,7 +129,7 @@ static double joint_step(const dp_block *b, dp_state *s, double *w)
     double issued = issue(b, s, u); /* may overflow where there is no torque limit */
     double next[DP_NX], check = issued - issued;
     for (int i = 0; i < nx; i++) {
-        next[i] = dot(b->A[i], s->x, nx) + dot(b->B[i], w, DP_NW) + b->E[i] * (issued - u);
+        next[i] = dot_x(b->A[i], s->x) + dot_w(b->B[i], w) + b->E[i] * (issued - u);
         check += next[i] - next[i];
     }
     if (check != 0.0) { /* also true for NaN */

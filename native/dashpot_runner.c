@@ -20,10 +20,18 @@ static double uniform(unsigned long long *state)
     return ((double)(z >> 11) + 0.5) * 0x1p-53;
 }
 
-static double gaussian(unsigned long long *state)
+/* Box-Muller gives two values at a time; the second waits in *spare (NaN: none). */
+static double gaussian(unsigned long long *state, double *spare)
 {
+    if (*spare == *spare) {
+        double value = *spare;
+        *spare = NAN;
+        return value;
+    }
     double radius = sqrt(-2.0 * log(uniform(state)));
-    return radius * cos(6.283185307179586 * uniform(state));
+    double angle = 6.283185307179586 * uniform(state);
+    *spare = radius * sin(angle);
+    return radius * cos(angle);
 }
 
 /* Elastic - perfectly plastic element: sticks exactly, dissipates on slip, never drifts. */
@@ -106,7 +114,7 @@ static double sample(dp_drive *d, int steps)
     d->sum = 0.0;
     tau = d->sensor_gain * tau + d->sensor_bias;
     if (d->sensor_noise > 0.0)
-        tau += d->sensor_noise * gaussian(&d->rng);
+        tau += d->sensor_noise * gaussian(&d->rng, &d->spare);
     if (d->sensor_resolution > 0.0)
         tau = d->sensor_resolution * floor(tau / d->sensor_resolution + 0.5);
     return tau;
@@ -193,6 +201,7 @@ int dp_run(dp_controller *c, dp_run_args *a)
         double tau = -(d->stiffness * a->qpos[d->spring_qpos] + d->damping * a->qvel[d->spring_dof]);
         d->filter_x[0] = d->measured_tau = d->inner_torque = d->tau = tau;
         d->filter_x[1] = d->friction_z = d->hysteresis_z = d->sum = d->integral = 0.0;
+        d->spare = NAN;
         d->friction = d->inner_correction = 0.0;
         d->motor = d->asked = d->control >= 0 ? c->state[d->control].in_effect : 0.0;
         for (int i = 0; i < DP_MAX_DELAY; i++)

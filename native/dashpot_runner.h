@@ -43,7 +43,7 @@ typedef struct {
     int reserved;                     /* keeps the doubles below aligned */
     /* state */
     double friction_z, hysteresis_z, tau, filter_x[2], sum, integral, motor, measured_tau, friction;
-    double inner_torque, inner_correction, asked;
+    double inner_torque, inner_correction, asked, spare;
     double delay[DP_MAX_DELAY];
     unsigned long long rng;
 } dp_drive;

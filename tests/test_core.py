@@ -84,10 +84,11 @@ class Reference:
             self.mode, self.changed, self.x = mode, True, [0.0] * 4
 
     def dot(self, a, b, n=NW):
-        total = 0.0
-        for i in range(n):
-            total += a[i] * b[i]
-        return total
+        """Summed as a tree, as the core does."""
+        terms = [a[i] * b[i] if i < n else 0.0 for i in range(NW if n == NW else 4)]
+        while len(terms) > 1:
+            terms = [p + q for p, q in zip(terms[::2], terms[1::2], strict=True)]
+        return terms[0]
 
     def output(self, w):
         if self.mode == 2:

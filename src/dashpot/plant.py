@@ -32,7 +32,7 @@ HYSTERESIS = 0.25  # stiffness of the hysteresis element over the transmission's
 STEP_FRACTION = 0.3  # largest product of time step and stiffest natural frequency; about 1 % error in it
 
 _STATE = ["friction_z", "hysteresis_z", "tau", "filter_x0", "filter_x1", "sum", "integral", "motor"]
-_STATE += ["measured_tau", "friction", "inner_torque", "inner_correction", "asked"]
+_STATE += ["measured_tau", "friction", "inner_torque", "inner_correction", "asked", "spare"]
 DRIVE_DTYPE = np.dtype(
     [
         *(

@@ -43,3 +43,8 @@ $(VENV)/.bench: $(VENV)/.installed
 
 clean:
 	rm -rf $(VENV) build out
+
+# Pictures of the README, from the code as it is.
+figures: demo
+	cp out/paper/fig5.png docs/images/
+.PHONY: figures

@@ -1,4 +1,4 @@
-"""Brake a joint from its torque sensor alone: simulate, remove the position loop at 3 s, look at what is left."""
+"""Brake a joint from its torque sensor alone: simulate, and remove the position loop at 3 s."""
 
 import numpy as np
 
@@ -16,7 +16,6 @@ recording = run(Scenario(plant, controller, motion, [Event(3.0, "joint7", "posit
 released = np.searchsorted(recording.time, 3.0)
 for delay in (0.0, 0.1, 0.3, 2.9):
     tick = released + round(delay / config.period)
-    angle, speed = recording.link_position[tick, 6], recording.link_velocity[tick, 6]
-    print(
-        f"{delay:4.1f} s after release: joint7 at {np.degrees(angle):6.2f} deg, {np.degrees(speed):7.2f} deg/s"
-    )
+    angle = np.degrees(recording.link_position[tick, 6])
+    speed = np.degrees(recording.link_velocity[tick, 6])
+    print(f"{delay:4.1f} s after release: joint7 at {angle:6.2f} deg, {speed:7.2f} deg/s")

@@ -134,14 +134,10 @@ def _start(scenario: Scenario, core: Any, events: NDArray[np.void], data: Any) -
         core.preset(i, found.states[i], found.torque[plant.robot.index(joint)])
 
 
-def run(scenario: Scenario) -> Recording:
-    """Runs one scenario; the same scenario gives the same bits on any number of threads.
-
-    Raises:
-        InputError: Periods, shapes or joints of plant, controller and trajectory do not fit together.
-    """
+def _check(scenario: Scenario) -> None:
+    """Checks that plant, controller, trajectory and external torque fit together."""
     plant, controller, trajectory = scenario.plant, scenario.controller, scenario.trajectory
-    n, ticks, period = len(plant.drives), len(trajectory.position), trajectory.period
+    shape, period = (len(trajectory.position), len(plant.drives)), trajectory.period
     steps = round(period / plant.timestep)
     if abs(steps * plant.timestep - period) > 1e-9 * period or steps < 1:
         raise InputError(
@@ -155,26 +151,23 @@ def run(scenario: Scenario) -> Recording:
             quantity="trajectory period [s]",
             value=period,
         )
-    for name in ("position", "velocity", "acceleration"):
-        array = np.asarray(getattr(trajectory, name))
-        if array.shape != (ticks, n):
-            raise InputError(
-                f"must have shape ({ticks}, {n})", quantity=f"trajectory {name}", value=array.shape
-            )
+    arrays = {
+        f"trajectory {name}": getattr(trajectory, name) for name in ("position", "velocity", "acceleration")
+    }
+    if scenario.external is not None:
+        arrays["external torque [N m]"] = scenario.external
+    for quantity, array in arrays.items():
+        if np.shape(array) != shape:
+            raise InputError(f"must have shape {shape}", quantity=quantity, value=np.shape(array))
         if not np.isfinite(array).all():
-            raise InputError("must be finite", quantity=f"trajectory {name}")
-    external = scenario.external
-    if external is not None:
-        external = np.ascontiguousarray(external, float)
-        if external.shape != (ticks, n) or not np.isfinite(external).all():
-            raise InputError(
-                f"must be finite and have shape ({ticks}, {n})", quantity="external torque [N m]"
-            )
+            raise InputError("must be finite", quantity=quantity)
+
+
+def _drives(scenario: Scenario) -> NDArray[np.void]:
+    """The plant's drives with their controllers, sampling and noise seeds."""
+    plant, controller = scenario.plant, scenario.controller
     drives = plant.drives.copy()
-    core = None
     if controller is not None:
-        # A fresh native controller: scenarios that share one must not share its state.
-        core = _native.Core(controller.blocks.view(np.uint8))
         for i, name in enumerate(controller.joints):
             drives["control"][plant.robot.index(name)] = i
         drives["average"] = controller.sampling == "average"
@@ -185,7 +178,26 @@ def run(scenario: Scenario) -> Recording:
                 file=plant.robot.file,
                 joint=spec.name,
             )
-    drives["rng"] = np.random.SeedSequence(scenario.seed).generate_state(n, np.uint64)
+    drives["rng"] = np.random.SeedSequence(scenario.seed).generate_state(len(drives), np.uint64)
+    return drives
+
+
+def run(scenario: Scenario) -> Recording:
+    """Runs one scenario; the same scenario gives the same bits on any number of threads.
+
+    Raises:
+        InputError: Periods, shapes or joints of plant, controller and trajectory do not fit together.
+    """
+    _check(scenario)
+    plant, controller, trajectory = scenario.plant, scenario.controller, scenario.trajectory
+    ticks, n = trajectory.position.shape
+    steps = round(trajectory.period / plant.timestep)
+    drives = _drives(scenario)
+    # A fresh native controller: scenarios that share one must not share its state.
+    core = _native.Core(controller.blocks.view(np.uint8)) if controller else None
+    external = scenario.external
+    if external is not None:
+        external = np.ascontiguousarray(external, float)
     data = mujoco.MjData(plant.model)
     events = _events(scenario)
     _start(scenario, core, events, data)
@@ -216,7 +228,7 @@ def run(scenario: Scenario) -> Recording:
     time = trajectory.time
     settings: dict[str, object] = {
         "robot": plant.robot.name,
-        "period": period,
+        "period": trajectory.period,
         "timestep": plant.timestep,
         "seed": scenario.seed,
         "label": scenario.label,
@@ -264,9 +276,13 @@ def run_many(
     ):
         task = bar.add_task(progress or "", total=len(todo))
         results = []
-        for result in pool.map(work, todo):
-            results.append(result)
-            bar.advance(task)
+        try:
+            for result in pool.map(work, todo):
+                results.append(result)
+                bar.advance(task)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)  # Ctrl-C must not wait for the scenarios still queued
+            raise
     return results
 
 

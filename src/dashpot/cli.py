@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import threading
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -76,24 +81,68 @@ def _show_warning(message: Warning | str, category: type[Warning], *_: object, *
     print(f"dashpot: {label}: {message}", file=sys.stderr)
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Entry point; exits 0 on success, 1 where a verdict fails, 2 on bad input, 130 on Ctrl-C."""
-    warnings.showwarning = _show_warning
-    command = tyro.cli(
-        Command,
-        prog="dashpot",
-        description="Virtual passive control for torque-sensed robot joints.",
-        args=arguments,
-    )
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM or SIGHUP."""
+
+
+def _terminate(*_: object) -> None:
+    raise _Terminated
+
+
+@contextmanager
+def _tidy_stop() -> Iterator[None]:
+    """Lets SIGTERM and a closed terminal stop the command as Ctrl-C does: unfinished output is removed."""
+    signals = [number for name in ("SIGTERM", "SIGHUP") if (number := getattr(signal, name, None))]
+    if threading.current_thread() is not threading.main_thread():
+        signals = []
+    taken = [number for number in signals if signal.getsignal(number) is signal.SIG_DFL]
+    for number in taken:
+        signal.signal(number, _terminate)
     try:
-        status = command.run()
-    except DashpotError as error:
-        print(f"dashpot: error: {error}", file=sys.stderr)
-        status = 2
-    except KeyboardInterrupt:
-        print("dashpot: stopped", file=sys.stderr)
-        status = 130
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point; exits 0 on success, 1 where a verdict fails or the simulation diverges, 2 on bad input.
+
+    Ctrl-C exits 130, SIGTERM 143.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a terminal without a character shows "?" for it
+            stream.reconfigure(errors="replace")
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", InputWarning)
+        warnings.showwarning = _show_warning
+        command = tyro.cli(
+            Command,
+            prog="dashpot",
+            description="Virtual passive control for torque-sensed robot joints.",
+            args=arguments,
+        )
+        try:
+            with _tidy_stop():
+                status = command.run()
+        except DashpotError as error:
+            status = _fail(str(error))
+        except BrokenPipeError:  # the reader of our output has left: `dashpot ... | head`
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            status = 141
+        except OSError as error:
+            status = _fail(": ".join(str(part) for part in (error.filename, error.strerror or error) if part))
+        except MemoryError:
+            status = _fail("out of memory; ask for a shorter motion or fewer threads")
+        except KeyboardInterrupt as stop:
+            print("dashpot: stopped", file=sys.stderr)
+            status = 143 if isinstance(stop, _Terminated) else 130
     sys.exit(status)
+
+
+def _fail(message: str) -> int:
+    print(f"dashpot: error: {message}", file=sys.stderr)
+    return 2
 
 
 if __name__ == "__main__":

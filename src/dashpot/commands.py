@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import threading
 import warnings
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -19,7 +21,7 @@ from dashpot.payload import Payload
 from dashpot.plant import Plant, build
 from dashpot.plots import BLUE, GREY, VERMILLION, Figure, new_figure, save
 from dashpot.recording import Recording
-from dashpot.robot import Robot
+from dashpot.robot import MAX_ANGLE, Robot
 from dashpot.simulate import Event, Scenario, run
 from dashpot.trajectory import Trajectory, hold, multisine
 
@@ -35,6 +37,7 @@ FIGURES = {
     "fig6": "Fig. 6: the two instabilities",
 }
 LEAD_IN = 1.0  # [s] at rest before a motion
+MAX_TICKS = 1_000_000  # of one recording: about 1 GB of memory for seven joints
 
 
 def reproduce(out: Path, seeds: int, threads: int | None) -> int:
@@ -43,12 +46,15 @@ def reproduce(out: Path, seeds: int, threads: int | None) -> int:
 
     if threads is not None and threads < 1:
         raise InputError("must be at least 1", quantity="--threads", value=threads)
+    _quiet_engine()
     relations, results = run_study(out, seeds, threads)
     console = Console()
     console.print(_relations_table(relations, seeds))
     failed = sum(not relation.holds for relation in relations)
     verdict = "[green]every relation holds[/]" if not failed else f"[bold red]{failed} relations fail[/]"
-    console.print(f"{verdict} ({results['seconds']:.0f} s); open {out / 'report.html'}", highlight=False)
+    console.print(
+        f"{verdict} ({results['seconds']:.0f} s); open {escape(str(out / 'report.html'))}", highlight=False
+    )
     return 1 if failed else 0
 
 
@@ -82,17 +88,26 @@ def _relations_table(relations: list[Relation], seeds: int) -> Table:
 
 def simulate(options: Simulate) -> int:
     """``dashpot simulate``; returns the exit status: 1 if the simulation diverged."""
+    _check(options)
+    _quiet_engine()
     robot, config = Robot.load(options.robot), load_controller(options.controller)
     controller = Controller.from_config(config, robot.drives)
-    payload = _payload(options)
+    payload = Payload(options.payload, options.offset)
     plant = build(robot, config.period, [payload] if payload.mass > 0 else [])
     path = _path(options, robot, config.period)
+    _warn_of_range(plant, path, options)
     _warn_of_saturation(plant, path, payload)
     events = [Event(path.start, joint, "mode", "bypass") for joint in options.bypass]
     if options.release is not None:
+        if not path.time[0] <= options.release <= path.time[-1]:  # also catches NaN
+            raise InputError(
+                f"must be within the motion, {path.time[0]:g} to {path.time[-1]:g} s",
+                quantity="--release [s]",
+                value=options.release,
+            )
         events.append(Event(options.release, "all", "position_loop", False))
     with whole_folder(options.out) as folder:
-        recording = run(Scenario(plant, controller, path, events, seed=options.seed))
+        recording = _run(Scenario(plant, controller, path, events, seed=options.seed))
         recording.settings |= {
             "controller": str(options.controller),
             "payload_kg": options.payload,
@@ -104,20 +119,78 @@ def simulate(options: Simulate) -> int:
     return 1 if recording.diverged_at is not None else 0
 
 
-def _payload(options: Simulate) -> Payload:
-    for key in ("payload", "offset", "amplitude", "duration"):
+def _check(options: Simulate) -> None:
+    for key, unit, low, high in (
+        ("payload", "kg", 0.0, math.inf),
+        ("offset", "m", -math.inf, math.inf),
+        ("amplitude", "rad", 0.0, MAX_ANGLE),
+        ("duration", "s", 0.0, math.inf),
+        ("seed", "-", 0.0, math.inf),
+    ):
         value = getattr(options, key)
-        if not math.isfinite(value) or (key != "offset" and value < 0):
-            raise InputError("must be finite and not negative", quantity=f"--{key}", value=value)
-    return Payload(options.payload, options.offset)
+        rule = ""
+        if isinstance(value, float) and not math.isfinite(value):
+            rule = "must be finite"
+        elif value < low or (key == "duration" and value == 0):
+            rule = "must be positive" if key == "duration" else "must not be negative"
+        elif value > high:
+            rule = f"must be at most {high:.4g} {unit}; check the unit"
+        if rule:
+            raise InputError(rule, quantity=f"--{key} [{unit}]", value=value)
+
+
+def _quiet_engine() -> None:
+    """Keeps MuJoCo from writing MUJOCO_LOG.TXT into the current folder; a divergence is reported anyway."""
+    mujoco.set_mju_user_warning(lambda _: None)
+
+
+def _run(scenario: Scenario) -> Recording:
+    """`run` on a thread of its own: Ctrl-C need not wait for the native loop."""
+    done: list[Recording] = []
+    failed: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            done.append(run(scenario))
+        except BaseException as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join()
+    if failed:
+        raise failed[0]
+    return done[0]
 
 
 def _path(options: Simulate, robot: Robot, period: float) -> Trajectory:
+    if options.duration > MAX_TICKS * period:
+        raise InputError(
+            f"must be at most {MAX_TICKS * period:g} s, {MAX_TICKS} ticks of {period:g} s",
+            quantity="--duration [s]",
+            value=options.duration,
+        )
     if options.motion == "hold":
         return hold(robot.home, options.duration, period)
     return multisine(
         robot.home, options.duration, period, options.seed, amplitude=options.amplitude, lead_in=LEAD_IN
     )
+
+
+def _warn_of_range(plant: Plant, path: Trajectory, options: Simulate) -> None:
+    """Warns of joints whose reference leaves the range in the model."""
+    for drive, record, q in zip(plant.robot.drives, plant.drives, path.position.T, strict=True):
+        lower, upper = float(record["stop_lower"]), float(record["stop_upper"])
+        if q.min() < lower or q.max() > upper:
+            message = InputError(
+                f"runs into a stop: the motion covers {q.min():.3g} to {q.max():.3g} rad, the joint may "
+                f"move from {lower:.4g} to {upper:.4g} rad; lower it or change home",
+                file=plant.robot.file,
+                joint=drive.name,
+                quantity="--amplitude [rad]",
+                value=options.amplitude,
+            )
+            warnings.warn(str(message), InputWarning, stacklevel=2)
 
 
 def _warn_of_saturation(plant: Plant, path: Trajectory, payload: Payload) -> None:
@@ -126,13 +199,22 @@ def _warn_of_saturation(plant: Plant, path: Trajectory, payload: Payload) -> Non
     load = np.abs([plant.load_torque(q) for q in some]).max(0)
     for drive, torque in zip(plant.robot.drives, load, strict=True):
         if torque > drive.torque_limit:
+            if payload.mass > 0:
+                rule, quantity, value = "saturates the motor: holding it", "payload [kg]", payload.mass
+                advice = f", torque_limit is {drive.torque_limit:g} N m; use a lighter payload"
+            else:
+                rule, quantity, value = (
+                    "too low: the arm's own weight",
+                    "torque_limit [N m]",
+                    drive.torque_limit,
+                )
+                advice = "; check the masses in the model"
             message = InputError(
-                f"saturates the motor: holding it takes up to {torque:.3g} N m, torque_limit is "
-                f"{drive.torque_limit:g} N m; use a lighter payload or a pose that carries less",
+                f"{rule} takes up to {torque:.3g} N m{advice} or a pose that carries less",
                 file=plant.robot.file,
                 joint=drive.name,
-                quantity="payload [kg]",
-                value=payload.mass,
+                quantity=quantity,
+                value=value,
             )
             warnings.warn(str(message), InputWarning, stacklevel=2)
 
@@ -142,7 +224,8 @@ def _print(
 ) -> None:
     console = Console()
     table = Table(
-        title=f"{robot.name} under {options.controller}, payload {options.payload:g} kg", title_justify="left"
+        title=escape(f"{robot.name} under {options.controller}, payload {options.payload:g} kg"),
+        title_justify="left",
     )
     for name in (
         "joint",
@@ -152,18 +235,19 @@ def _print(
         "largest torque [N m]",
         "of limit",
     ):
-        table.add_column(name, justify="left" if name in ("joint", "control") else "right")
+        text = name in ("joint", "control")
+        table.add_column(name, justify="left" if text else "right", no_wrap=text)
     shown = (recording.time >= 0) & np.isfinite(recording.position).all(1)
     if options.release is not None:
         shown &= recording.time < options.release
     error = np.degrees((recording.reference - recording.position)[shown])
     for j, drive in enumerate(robot.drives):
-        kind = "robot's servo" if drive.name not in controller.joints else "VPC"
+        kind = "servo" if drive.name not in controller.joints else "VPC"
         kind = "bypassed" if drive.name in options.bypass or "all" in options.bypass else kind
         torque = np.nanmax(np.abs(recording.in_effect[:, j]))
         used = torque / drive.torque_limit
         table.add_row(
-            drive.name,
+            escape(drive.name),
             kind,
             f"{error[:, j].mean():.3f}" if len(error) else "-",
             f"{error[:, j].std():.3f}" if len(error) else "-",
@@ -180,7 +264,7 @@ def _print(
     elif (recording.status & TORQUE_LIMITED).any():
         share = 100 * ((recording.status & TORQUE_LIMITED) != 0).mean()
         console.print(f"[yellow]torque limit reached[/] in {share:.1f} % of the ticks", highlight=False)
-    console.print(f"seed {options.seed}; open {options.out / 'simulate.png'}", highlight=False)
+    console.print(f"seed {options.seed}; open {escape(str(options.out / 'simulate.png'))}", highlight=False)
 
 
 def _draw(recording: Recording, controller: Controller, options: Simulate) -> Figure:
@@ -193,7 +277,7 @@ def _draw(recording: Recording, controller: Controller, options: Simulate) -> Fi
         )
         axis[0].plot(recording.time, np.degrees(recording.link_position[:, j]), color=BLUE, label="link")
         axis[1].plot(recording.time, recording.sample[:, j], color=VERMILLION, lw=0.9)
-        axis[0].set_title(recording.joints[j])
+        axis[0].set_title(recording.joints[j], parse_math=False)
         axis[1].set_xlabel("time [s]")
         if options.release is not None:
             for one in axis:
@@ -202,6 +286,7 @@ def _draw(recording: Recording, controller: Controller, options: Simulate) -> Fi
     axes[1, 0].set_ylabel("sensed torque [N m]")
     axes[0, 0].legend(fontsize=8)
     figure.suptitle(
-        f"{recording.settings['robot']} under {options.controller}, payload {options.payload:g} kg"
+        f"{recording.settings['robot']} under {options.controller}, payload {options.payload:g} kg",
+        parse_math=False,
     )
     return figure

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import secrets
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from dashpot.errors import InputError
@@ -13,36 +15,74 @@ from dashpot.errors import InputError
 MARKER = ".dashpot"
 """File that marks a folder as written by dashpot, which may be replaced."""
 
+ATTEMPTS = 100  # at taking the place of a folder that other runs replace at the same time
+
 
 @contextmanager
 def whole_folder(target: Path) -> Iterator[Path]:
     """A folder to write into; it takes the place of ``target`` only when the block ends without an error.
 
     Raises:
-        InputError: ``target`` exists and is not a folder dashpot wrote, or cannot be created.
+        InputError: ``target`` exists and is not a folder dashpot wrote, holds the current folder, or cannot
+            be created.
     """
-    if target.exists() and not (
-        target.is_dir() and ((target / MARKER).exists() or not any(target.iterdir()))
-    ):
-        raise InputError(
-            "exists and was not written by dashpot; choose another folder",
-            quantity="--out",
-            value=str(target),
-        )
-    work = target.with_name(f".{target.name}.{os.getpid()}.part")
+
+    def refuse(rule: str) -> InputError:
+        return InputError(rule, quantity="--out", value=str(target))
+
     try:
+        place = target.resolve()  # a link keeps pointing to what is replaced
+        _check(place, refuse)
+        token = secrets.token_hex(4)
+        work, old = (place.with_name(f".{place.name}.{token}.{end}") for end in ("part", "old"))
+        created = [parent for parent in place.parents if not parent.exists()]
         work.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(
-            f"cannot be created: {error.strerror}", quantity="--out", value=str(target)
-        ) from None
+    except InputError:
+        raise
+    except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: links in a circle
+        raise refuse(f"cannot be created: {getattr(error, 'strerror', None) or error}") from None
     try:
         yield work
         (work / MARKER).touch()
-        old = target.with_name(f".{target.name}.{os.getpid()}.old")
-        if target.exists():
-            target.rename(old)
-        work.rename(target)
-        shutil.rmtree(old, ignore_errors=True)
+        for _ in range(ATTEMPTS):
+            _check(place, refuse)
+            with suppress(FileNotFoundError):
+                place.rename(old)
+            try:
+                work.rename(place)
+                shutil.rmtree(old, ignore_errors=True)
+                break
+            except OSError as error:
+                if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                    raise
+                shutil.rmtree(old, ignore_errors=True)  # another run was faster; replace its folder
+        else:
+            raise refuse("other runs keep replacing it; choose another folder")
     finally:
+        if old.exists() and not place.exists():
+            with suppress(OSError):  # another run was faster
+                old.rename(place)
+        shutil.rmtree(old, ignore_errors=True)
         shutil.rmtree(work, ignore_errors=True)
+        if not place.exists():
+            with suppress(OSError):  # another run uses it
+                for parent in created:
+                    parent.rmdir()
+
+
+def _check(place: Path, refuse: Callable[[str], InputError]) -> None:
+    # Looked at twice: while another run replaces the folder, its marker may be gone before the rest is.
+    if _foreign(place) and _foreign(place):
+        raise refuse("exists and was not written by dashpot; choose another folder")
+    if Path.cwd().is_relative_to(place):
+        raise refuse("is or holds the current folder, which cannot be replaced; choose another folder")
+
+
+def _foreign(place: Path) -> bool:
+    try:
+        names = os.listdir(place)
+    except FileNotFoundError:
+        return False
+    except NotADirectoryError:
+        return place.exists()  # or a file stands in the way, which mkdir will say
+    return bool(names) and MARKER not in names

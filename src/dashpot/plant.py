@@ -29,6 +29,7 @@ from dashpot.sampled import Floats
 
 PRESLIDING = 3.0  # presliding stiffness of Coulomb friction over the transmission's; assumed
 HYSTERESIS = 0.25  # stiffness of the hysteresis element over the transmission's; assumed
+SHORTEST_STEP = 1e-6  # [s]; a model that needs a shorter one has a wrong unit, or would run for hours
 STEP_FRACTION = 0.3  # largest product of time step and stiffest natural frequency; about 1 % error in it
 
 _STATE = ["friction_z", "hysteresis_z", "tau", "filter_x0", "filter_x1", "sum", "integral", "motor"]
@@ -132,7 +133,10 @@ def load_spec(robot: Robot) -> tuple[Any, Any]:
         spec.delete(mesh)
     try:
         model = spec.copy().compile()
-    except Exception:
+    except Exception as error:
+        without = _one_line(error)
+        if without != reason:
+            reason += f" (and without meshes: {without})"
         raise ModelError(f"{path}: MuJoCo cannot compile it: {reason}") from None
     warnings.warn(f"{path}: used without its meshes: {reason}", InputWarning, stacklevel=2)
     return spec, model
@@ -285,10 +289,23 @@ def build(robot: Robot, period: float, payloads: Sequence[Payload] = ()) -> Plan
         raise InputError(f"at most {_native.MAX_JOINTS} joints can be simulated", file=robot.file)
     spec, rigid = load_spec(robot)
     ranges = [_insert_drive(spec, rigid, drive, robot.model) for drive in robot.drives]
+    for drive, angle, (lower, upper) in zip(robot.drives, robot.home, ranges, strict=True):
+        if not lower <= angle <= upper:
+            raise InputError(
+                f"is outside the joint's range, {lower:.4g} to {upper:.4g} rad in {robot.model}",
+                file=robot.file,
+                joint=drive.name,
+                quantity="home [rad]",
+                value=angle,
+            )
     hang(spec, rigid, robot, payloads)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # A diverging run must be reported, not silently reset; the plant has no contacts yet.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    # The transmissions are springs and dampers of the engine, and nothing may fall asleep.
+    spring, damper = int(mujoco.mjtDisableBit.mjDSBL_SPRING), int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
+    spec.option.disableflags &= ~(spring | damper)
+    spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     try:
         model = spec.compile()
     except Exception as error:
@@ -301,9 +318,24 @@ def build(robot: Robot, period: float, payloads: Sequence[Payload] = ()) -> Plan
     records = _drive_records(model, robot, ranges)
     spread = np.random.default_rng(0).uniform(-1, 1, (4, len(order)))  # poses around home; any will do
     poses = [np.array(robot.home), *(np.array(robot.home) + spread)]
-    stiffest = stiffest_mode(model, records, poses)
-    steps = math.ceil(period * stiffest / STEP_FRACTION)
+    try:
+        stiffest = stiffest_mode(model, records, poses)
+    except (ValueError, np.linalg.LinAlgError):
+        raise ModelError(f"{robot.model}: masses and inertias must be finite and positive") from None
+    if not np.isfinite(model.opt.gravity).all():
+        raise ModelError(f"{robot.model}: gravity = {model.opt.gravity.tolist()}: must be finite")
+    steps = max(1, math.ceil(period * stiffest / STEP_FRACTION))
     dt = period / steps
+    if dt < SHORTEST_STEP:
+        drive = max(robot.drives, key=lambda d: d.stiffness / d.rotor_inertia)
+        raise InputError(
+            f"with rotor_inertia {drive.rotor_inertia:g} kg m^2 and the links' inertias needs a physics step "
+            f"of {dt:.2g} s, shortest: {SHORTEST_STEP:g} s; check their units",
+            file=robot.file,
+            joint=drive.name,
+            quantity="stiffness [N m/rad]",
+            value=drive.stiffness,
+        )
     model.opt.timestep = dt
     _set_step(records, robot, dt)
     said = (

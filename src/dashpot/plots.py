@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +48,10 @@ def new_figure(rows: int, columns: int, width: float, height: float, **options: 
 def save(figure: Figure, path: Path) -> list[Path]:
     """Writes ``path`` as PNG and PDF and closes the figure; returns the two paths."""
     paths = [path.with_suffix(".png"), path.with_suffix(".pdf")]
-    figure.savefig(paths[0])
-    figure.savefig(paths[1], metadata={"CreationDate": None})
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")  # a name given by the user
+        figure.savefig(paths[0])
+        figure.savefig(paths[1], metadata={"CreationDate": None})
     plt.close(figure)
     return paths
 

@@ -16,6 +16,7 @@ from dashpot.errors import InputError
 from dashpot.tables import as_float, check_keys, read_toml
 
 BUNDLED = ("k807", "fr3", "iiwa14")
+MAX_ANGLE = 4 * np.pi  # two turns; more is degrees
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,15 @@ class Robot:
                 quantity="home",
                 value=list(self.home),
             )
+        for name, angle in zip(names, self.home, strict=True):
+            if abs(angle) > MAX_ANGLE:
+                raise InputError(
+                    f"must be within {MAX_ANGLE:.4g} rad; check the unit",
+                    file=self.file,
+                    joint=name,
+                    quantity="home [rad]",
+                    value=angle,
+                )
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -92,9 +92,9 @@ def check_numbers(record: Any, *, file: object = None, joint: str | None = None)
         if limits.typical and value != 0 and not unlimited:
             low, high = limits.typical
             if not low <= abs(value) <= high:
+                side = ", on the link side of the gear" if joint is not None else ""
                 message = InputError(
-                    f"is unusual (real joints: {low:g} to {high:g} {limits.unit}); check the unit: "
-                    "SI, on the link side of the gear",
+                    f"is unusual (typical: {low:g} to {high:g} {limits.unit}); check the unit: SI{side}",
                     **where,
                 )
                 warnings.warn(str(message), InputWarning, stacklevel=3)

@@ -1,0 +1,1 @@
+"""Port passivity of a sampled joint: whether any passive mechanism may hang on it."""

@@ -1,0 +1,323 @@
+"""The command: errors of one line, whole output or none, and its exit status."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dashpot.cli import main
+from dashpot.controller import Controller, load_controller
+from dashpot.errors import InputError
+from dashpot.output import whole_folder
+from dashpot.plant import build
+from dashpot.recording import Recording
+from dashpot.robot import Robot
+from dashpot.simulate import Scenario, run
+from dashpot.trajectory import hold
+
+ROBOT, WRIST = Robot.load("k807"), load_controller("k807-wrist")
+SHORT = ("simulate", "k807", "k807-wrist", "--duration", "0.05")
+
+
+@pytest.fixture
+def dashpot(capsys, tmp_path, monkeypatch):
+    """Runs the command in an empty folder: (status, stdout, lines of stderr)."""
+    folder = tmp_path / "cwd"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+
+    def dashpot(*arguments):
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as left:
+            main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        assert not [p for p in folder.rglob("*") if p.suffix in (".part", ".old") or "MUJOCO" in p.name]
+        return left.value.code, out, err.splitlines()
+
+    return dashpot
+
+
+@pytest.fixture
+def arm(tmp_path):
+    """Writes the k807 with its files changed: pairs of pattern and text; the controller likewise."""
+
+    def arm(toml=(), xml=(), controller=()):
+        paths = []
+        for name, source, changes in (
+            ("k807.xml", ROBOT.model, xml),
+            ("arm.toml", ROBOT.file, toml),
+            ("gains.toml", WRIST.file, controller),
+        ):
+            text = source.read_text()
+            for pattern, new in changes:
+                text, count = re.subn(pattern, new, text)
+                assert count
+            paths.append(tmp_path / name)
+            paths[-1].write_text(text)
+        return paths[1], paths[2]
+
+    return arm
+
+
+def refused(result):
+    status, out, err = result
+    assert (status, out) == (2, "")
+    assert err[-1].startswith("dashpot: error: ")
+    assert all(line.startswith("dashpot: warning: ") for line in err[:-1])
+    assert not Path("out").exists()
+    return err[-1].removeprefix("dashpot: error: ")
+
+
+def test_simulate_writes_a_whole_folder_and_replays_from_its_seed(dashpot):
+    status, out, err = dashpot(*SHORT, "--seed", 7)
+    assert (status, err) == (0, [])
+    assert "seed 7; open out/simulate/simulate.png" in out
+    folder = Path("out/simulate")
+    names = {".dashpot", "recording.npz", "simulate.pdf", "simulate.png"}
+    assert {path.name for path in folder.iterdir()} == names
+    first = Recording.load(folder / "recording.npz")
+    assert dashpot(*SHORT, "--seed", 7)[0] == 0  # replaces the folder
+    again = Recording.load(folder / "recording.npz")
+    np.testing.assert_array_equal(first.sample, again.sample)
+    assert len(list(Path("out").iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--payload", "nan", "--payload [kg] = nan: must be finite"),
+        ("--payload", "-1", "--payload [kg] = -1.0: must not be negative"),
+        ("--payload", "1e9", "mass [kg] = 1000000000.0: must be at least 0 and at most 10000 kg"),
+        ("--offset", "-inf", "--offset [m] = -inf: must be finite"),
+        ("--offset", "50", "payload offset [m] = 50.0: must be a number or (x, y, z) within 10 m"),
+        ("--amplitude", "30", "--amplitude [rad] = 30.0: must be at most 12.57 rad; check the unit"),
+        ("--duration", "0", "--duration [s] = 0.0: must be positive"),
+        ("--duration", "1e6", "--duration [s] = 1000000.0: must be at most 5000 s, 1000000 ticks of 0.005 s"),
+        ("--seed", "-1", "--seed [-] = -1: must not be negative"),
+        ("--release", "-2", "--release [s] = -2.0: must be within the motion, -1 to 0.045 s"),
+        ("--release", "0.05", "--release [s] = 0.05: must be within the motion, -1 to 0.045 s"),
+        ("--bypass", "j5", "joint 'j5': not controlled here; controlled: joint5, joint6, joint7"),
+        ("--out", ".", "--out = '.': is or holds the current folder"),
+        ("--out", "/dev/null/x", "--out = '/dev/null/x': cannot be created: Not a directory"),
+        ("--out", "x" * 300, "--out = 'xxx"),
+        ("--out", "a\0b", "--out = 'a\\x00b': cannot be created"),
+    ],
+)
+def test_bad_option(dashpot, option, value, message):
+    assert refused(dashpot(*SHORT, option, value)).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"xml": [(r"(?s)<worldbody>.*", "")]}, "{dir}/k807.xml: MuJoCo cannot read it: "),
+        ({"xml": [(r'mass="[^"]*"', 'mass="0"')]}, "{dir}/k807.xml: MuJoCo cannot compile it: "),
+        (
+            {"xml": [("<worldbody>", '<option gravity="0 0 nan"/><worldbody>')]},
+            "{dir}/k807.xml: gravity = [0.0, 0.0, nan]: must be finite",
+        ),
+        ({"xml": [('name="joint5"', 'name="elbow"')]}, "{dir}/k807.xml: joint 'joint5': not in the model"),
+        (
+            {"xml": [('angle="radian"', 'angle="degree"')]},
+            "{dir}/arm.toml: joint 'joint2': home [rad] = 0.174533: is outside the joint's range",
+        ),
+        ({"toml": [("k807.xml", "none.xml")]}, "{dir}/arm.toml: model = '{dir}/none.xml': no such file"),
+        (
+            {"toml": [("home = .*", "home = [0, 10, 0, 115, 0, -35, 0]")]},
+            "{dir}/arm.toml: joint 'joint4': home [rad] = 115.0: must be within 12.57 rad; check the unit",
+        ),
+        (
+            {"toml": [("rotor_inertia = 0.6", "rotor_inertia = -0.6")]},
+            "{dir}/arm.toml: joint 'joint1': rotor_inertia [kg m^2] = -0.6: must be at least 1e-09",
+        ),
+        (
+            {"toml": [("rotor_inertia = 0.6", "rotor_inertia = 1e-9")]},
+            "{dir}/arm.toml: joint 'joint1': stiffness [N m/rad] = 40000.0: with rotor_inertia 1e-09 kg m^2",
+        ),
+        (
+            {"controller": [("period = .*", "period = 5")]},
+            "{dir}/gains.toml: period [s] = 5.0: must be at least 1e-05 and at most 1 s",
+        ),
+        (
+            {"controller": [("joint6", "joint66")]},
+            "{dir}/gains.toml: joint 'joint66': the robot has no such joint; it has joint1, joint2",
+        ),
+    ],
+)
+def test_bad_file(dashpot, arm, tmp_path, change, message):
+    message = message.format(dir=tmp_path)
+    assert refused(dashpot("simulate", *arm(**change), "--duration", 0.05)).startswith(message)
+
+
+def test_a_payload_that_saturates_the_motors_and_a_motion_into_the_stops(dashpot):
+    status, out, err = dashpot(*SHORT, "--payload", 40, "--amplitude", 6, "--duration", 1)
+    assert status == 0
+    assert all(line.startswith("dashpot: warning: ") for line in err)
+    joint2 = f"dashpot: warning: {ROBOT.file}: joint 'joint2': "
+    assert any(line.startswith(f"{joint2}payload [kg] = 40.0: saturates the motor: holding") for line in err)
+    assert any(line.startswith(f"{joint2}--amplitude [rad] = 6.0: runs into a stop") for line in err)
+    assert "torque limit reached" in out
+
+
+def test_an_unstable_loop_is_said_to_diverge(dashpot, arm):
+    files = arm(
+        toml=[("torque_limit = .*", "torque_limit = 1e5")],
+        controller=[(r"\nkp = .*", "\nkp = 1e7"), (r"\nkd = .*", "\nkd = 1e6")],
+    )
+    status, out, err = dashpot("simulate", *files, "--duration", 1)
+    assert status == 1
+    assert "diverged at " in out
+    assert not re.search(r"\b(nan|inf)\b", out)
+    assert all(line.startswith("dashpot: warning: ") for line in err)
+    assert Recording.load("out/simulate/recording.npz").diverged_at is not None
+
+
+def test_names_are_not_markup_nor_formulas(dashpot, arm, tmp_path):
+    robot, gains = arm(toml=[('name = "k807"', r'name = "[b]日[/i] $\\\\x$"')])
+    gains = gains.rename(tmp_path / "[red]a$x_$[b].toml")
+    status, out, err = dashpot("simulate", robot, gains, "--duration", 0.05)
+    assert (status, err) == (0, [])
+    assert "[b]日[/i]" in out
+
+
+def test_engine_options_of_the_file_cannot_switch_the_springs_off(arm):
+    flags = '<option><flag spring="disable" damper="disable" sleep="enable"/></option><worldbody>'
+    robot = Robot.load(arm(xml=[("<worldbody>", flags)])[0])
+    plain, odd = (
+        run(Scenario(build(r, 5e-3), Controller.from_config(WRIST, r.drives), hold(r.home, 0.05, 5e-3)))
+        for r in (ROBOT, robot)
+    )
+    np.testing.assert_array_equal(plain.position, odd.position)
+
+
+def test_no_help_without_a_command(dashpot):
+    assert dashpot()[0] == 2
+    assert dashpot("simulate", "k807", "nope")[2] == [
+        "dashpot: error: nope: neither a file nor a bundled controller "
+        "(k807-wrist, k807-resonant, fr3, iiwa14)"
+    ]
+    assert refused(dashpot("reproduce", "--seeds", 1)) == "--seeds = 1: must be at least 2"
+    assert refused(dashpot("reproduce", "--threads", 0)) == "--threads = 0: must be at least 1"
+
+
+def test_help_is_fast():
+    took = []
+    for _ in range(3):
+        start = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, "-m", "dashpot.cli", "--help"], capture_output=True, check=True
+        )
+        took.append(time.perf_counter() - start)
+    assert b"simulate" in done.stdout
+    assert min(took) < 0.5
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stopped_run_leaves_nothing(tmp_path, number, status):
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); import dashpot.cli as c; "
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code + "c.main()", *SHORT[:3], "--duration", "2000", "--out", "new/run"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+    )
+    while not list(tmp_path.glob("new/.run.*.part")):
+        assert process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(number)
+    assert process.communicate(timeout=10) == (None, b"dashpot: stopped\n")
+    assert process.returncode == status
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_dashpot_did_not_write_is_never_replaced(tmp_path):
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis/chapter1").write_text("words")
+    (tmp_path / "file").write_text("words")
+    (tmp_path / "link").symlink_to("thesis")
+    for name in ("thesis", "file", "link"):
+        with pytest.raises(InputError, match="not written by dashpot"), whole_folder(tmp_path / name):
+            raise AssertionError
+    assert (tmp_path / "thesis/chapter1").read_text() == "words"
+    with pytest.raises(InputError, match="not written by dashpot"), whole_folder(tmp_path / "late"):
+        (tmp_path / "late").write_text("written meanwhile")
+    assert (tmp_path / "late").read_text() == "written meanwhile"
+    assert {path.name for path in tmp_path.iterdir()} == {"thesis", "file", "link", "late"}
+
+
+def test_a_failure_leaves_the_old_folder_and_no_new_parents(tmp_path):
+    with whole_folder(tmp_path / "run") as folder:
+        (folder / "a").write_text("1")
+    for target in ("run", "x/y/run"):
+        with pytest.raises(FileNotFoundError), whole_folder(tmp_path / target) as folder:
+            (folder / "a").rename(folder / "b")
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    assert (tmp_path / "run/a").read_text() == "1"
+
+
+def test_a_link_to_a_folder_stays_a_link(tmp_path):
+    (tmp_path / "link").symlink_to("real")
+    for text in "12":
+        with whole_folder(tmp_path / "link") as folder:
+            (folder / "a").write_text(text)
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "real/a").read_text() == "2"
+    assert {path.name for path in tmp_path.iterdir()} == {"link", "real"}
+
+
+def test_runs_into_the_same_folder_at_once(tmp_path):
+    failed = []
+
+    def write(i):
+        try:
+            for _ in range(30):
+                with whole_folder(tmp_path / "run") as folder:
+                    for name in "ab":
+                        (folder / name).write_text(str(i))
+        except BaseException as error:
+            failed.append(error)
+
+    threads = [threading.Thread(target=write, args=(i,)) for i in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not failed
+    assert (tmp_path / "run/a").read_text() == (tmp_path / "run/b").read_text()
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (),
+        (np.zeros(2),),
+        (np.zeros(3, np.float32),),
+        (np.zeros((3, 1)),),
+        (np.zeros(6)[::2],),
+        ([0.0] * 3,),
+        (None,),
+        (np.zeros((7, 2)), np.zeros(3)),
+    ],
+)
+def test_step_refuses_other_shapes(arguments):
+    controller = Controller.from_config(WRIST, ROBOT.drives)
+    with pytest.raises((TypeError, ValueError)):
+        controller.step(*arguments)
+
+
+def test_step_with_nan_holds_a_finite_torque():
+    controller = Controller.from_config(WRIST, ROBOT.drives)
+    out = np.full(3, np.nan)
+    controller.inputs.torque[:] = np.nan
+    assert controller.step(out) != 0
+    assert np.isfinite(out).all()

@@ -247,7 +247,7 @@ def allocation(rows: Rows) -> None:
             rows.table.add_row(what, "not measured", "", "", "needs glibc's mallinfo2")
         else:
             rows.add(key, what, grown, "B", most=0, note=f"Python blocks: {blocks:+d}")
-    rows.table.add_row("the core calls no library at all", "", "", "", "nm -u is empty: tests/test_core.py")
+    rows.table.add_row("the core calls no allocator", "", "", "", "nm -u: tests/test_core.py")
 
 
 def threads(rows: Rows) -> None:

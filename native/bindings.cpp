@@ -133,7 +133,7 @@ NB_MODULE(_native, m) {
              nb::arg("out").noconvert())  // a converted copy would swallow the torques
         .def("step",
              [](Core &s, Array in, Vector out) {
-                 if (in.size() != static_cast<size_t>(s.c.n) * DP_NIN || out.size() != static_cast<size_t>(s.c.n))
+                 if (in.ndim() != 2 || in.shape(0) != DP_NIN || in.shape(1) != static_cast<size_t>(s.c.n) || out.size() != static_cast<size_t>(s.c.n))
                      throw std::invalid_argument("inputs must have shape (7, n) and out (n,)");
                  return dp_step(&s.c, in.data(), out.data());
              },

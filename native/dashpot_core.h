@@ -1,4 +1,4 @@
-/* dashpot controller core: C99, no allocation, no library calls.
+/* dashpot controller core: C99, no allocation, no library (a compiler may call memcpy and memset for structs).
  *
  * A joint controller is a small linear block. At each tick k it maps
  *     w = [torque sample, torque in effect, position, velocity,

@@ -22,6 +22,7 @@ from dashpot.recording import Recording
 from dashpot.robot import Robot
 from dashpot.simulate import Scenario, run
 from dashpot.trajectory import hold
+from dashpot.vibration import vibration
 
 ROBOT, WRIST = Robot.load("k807"), load_controller("k807-wrist")
 SHORT = ("simulate", "k807", "k807-wrist", "--duration", "0.05")
@@ -98,6 +99,8 @@ def test_simulate_writes_a_whole_folder_and_replays_from_its_seed(dashpot):
         ("--payload", "1e9", "mass [kg] = 1000000000.0: must be at least 0 and at most 10000 kg"),
         ("--offset", "-inf", "--offset [m] = -inf: must be finite"),
         ("--offset", "50", "payload offset [m] = 50.0: must be a number or (x, y, z) within 10 m"),
+        ("--offset", "1 2", "--offset [m] = (1.0, 2.0): must be one number or three"),
+        ("--offset", "0 nan 0", "--offset [m] = (0.0, nan, 0.0): must be finite"),
         ("--amplitude", "30", "--amplitude [rad] = 30.0: must be at most 12.57 rad; check the unit"),
         ("--duration", "0", "--duration [s] = 0.0: must be positive"),
         ("--duration", "1e6", "--duration [s] = 1000000.0: must be at most 5000 s, 1000000 ticks of 0.005 s"),
@@ -112,7 +115,7 @@ def test_simulate_writes_a_whole_folder_and_replays_from_its_seed(dashpot):
     ],
 )
 def test_bad_option(dashpot, option, value, message):
-    assert refused(dashpot(*SHORT, option, value)).startswith(message)
+    assert refused(dashpot(*SHORT, option, *value.split(" "))).startswith(message)
 
 
 @pytest.mark.parametrize(
@@ -178,6 +181,57 @@ def test_an_unstable_loop_is_said_to_diverge(dashpot, arm):
     assert not re.search(r"\b(nan|inf)\b", out)
     assert all(line.startswith("dashpot: warning: ") for line in err)
     assert Recording.load("out/simulate/recording.npz").diverged_at is not None
+
+
+def test_an_oscillating_loop_is_said_to_oscillate(dashpot, arm):
+    gains = [('form = "implicit"', 'form = "explicit"'), (r"\nR = .*", "\nR = 30"), (r"\nD = .*", "\nD = 3")]
+    status, out, _ = dashpot("simulate", *arm(controller=gains), "--duration", 1)
+    assert status == 0
+    found = re.search(r"^joint6 oscillates: (\S+) N m RMS at (\S+) Hz$", out, re.M)
+    assert float(found[1]) > 2
+    assert 20 < float(found[2]) <= 100
+    recording = Recording.load("out/simulate/recording.npz")
+    sample = recording.sample[-200:, 5]
+    np.testing.assert_allclose(float(found[1]), sample.std(), rtol=0.2)
+    status, out, _ = dashpot("simulate", "k807", "k807-wrist", "--duration", 1)
+    assert status == 0
+    assert "oscillates" not in out
+
+
+def test_vibration_of_a_known_signal():
+    time = 0.005 * np.arange(600)
+    motion = 20 * np.sin(2 * np.pi * 0.4 * time) + 50
+    signal = np.stack([motion, motion + 3 * np.sin(2 * np.pi * 31 * time)], 1)
+    rms, frequency = vibration(signal, 0.005)
+    assert rms[0] < 0.02
+    np.testing.assert_allclose(rms[1], 3 / np.sqrt(2), rtol=0.01)
+    assert frequency[1] == pytest.approx(31)
+    assert vibration(signal[:50], 0.005) is None
+    assert vibration(signal, 0.1) is None
+
+
+def test_a_release_with_a_payload_beside_the_axis(dashpot, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    load = ("--payload", 2, "--offset", -0.1, 0, 0.05)
+    status, out, err = dashpot(*SHORT[:3], *load, "--duration", 1, "--release", 0.4)
+    assert (status, err) == (0, [])
+    assert "k807 under k807-wrist, payload 2 kg at (-0.1, 0, 0.05) m" in out
+    assert "all before the release at 0.4 s" in " ".join(out.split())
+    headers = [line.split("  ") for line in out.splitlines() if line.startswith("joint ")]
+    assert [[part.strip() for part in line if part.strip()] for line in headers] == [
+        ["joint", "control", "error [deg]", "dev.", "torque [N m]", "of limit", "vibration [N m]"],
+        ["joint", "speed [deg/s]", "below 5 % after [s]", "moved [deg]", "then, to the end [deg]"],
+    ]
+    recording = Recording.load("out/simulate/recording.npz")
+    assert recording.settings["offset_m"] == [-0.1, 0, 0.05]
+    rows = out[out.index("After the release") :]
+    for j, name in enumerate(("joint5", "joint6", "joint7"), 4):
+        speed, took, moved, then = map(float, re.search(rf"{name} +(.*)", rows)[1].split())
+        at = np.searchsorted(recording.time, 0.4 - 1e-9)
+        assert speed == pytest.approx(np.degrees(abs(recording.link_velocity[at, j])), abs=0.01)
+        assert 0 < took < 0.3
+        angle = np.degrees(recording.link_position[:, j])
+        assert moved + then == pytest.approx(angle[-1] - angle[at], abs=0.011)
 
 
 def test_names_are_not_markup_nor_formulas(dashpot, arm, tmp_path):

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dashpot.controller import Controller, ControllerConfig, JointGains
+from dashpot.controller import Controller, ControllerConfig, JointGains, load_controller
 from dashpot.payload import Payload
 from dashpot.plant import build, full_mass
 from dashpot.robot import BUNDLED, Robot
@@ -194,3 +194,18 @@ def test_every_arm_holds_its_home_pose_with_a_payload(name, period):
     assert recording.diverged_at is None
     assert np.abs(recording.link_position - robot.home).max() < 0.3
     assert np.abs(recording.velocity[-20:]).max() < 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "controller"), [("fr3", "fr3"), ("iiwa14", "iiwa14"), ("k807", "k807-wrist")]
+)
+@pytest.mark.parametrize("payload", [0.0, 3.0])
+def test_bundled_controllers_hold_quietly(name, controller, payload):
+    """At rest nothing but sensor noise: no hunting on friction, no slow growth."""
+    robot, config = Robot.load(name), load_controller(controller)
+    plant = build(robot, config.period, [Payload(payload, 0.1)])
+    loop = Controller.from_config(config, robot.drives)
+    recording = run(Scenario(plant, loop, hold(robot.home, 3.0, config.period)))
+    last = recording.sample[-round(1 / config.period) :]
+    assert np.ptp(last, axis=0).max() < 10 * max(drive.torque_noise for drive in robot.drives)
+    assert np.abs(recording.link_velocity[-100:]).max() < 0.02

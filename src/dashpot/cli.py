@@ -22,12 +22,14 @@ from dashpot.errors import DashpotError, InputWarning
 class Reproduce:
     """Reproduce the paper's Figs. 4, 5 and 6 on a simulated arm, with a report and verdicts."""
 
-    out: Path = Path("out/paper")
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/paper")
     """Folder for figures, report.html and results.json; replaced as a whole."""
-    seeds: int = 10
+    seeds: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 10
     """Trajectories and noise streams per condition."""
-    threads: int | None = None
-    """Threads (default: one per core)."""
+    threads: Annotated[
+        int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: one per core)")
+    ] = None
+    """Threads."""
 
     def run(self) -> int:
         """Runs the command."""
@@ -40,27 +42,32 @@ class Reproduce:
 class Simulate:
     """Simulate an arm under a controller: your own files or bundled ones by name."""
 
-    robot: tyro.conf.Positional[str]
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
     """Robot TOML, or k807, fr3, iiwa14."""
-    controller: tyro.conf.Positional[str]
+    controller: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CONTROLLER")]
     """Controller TOML, or k807-wrist, k807-resonant, fr3, iiwa14."""
-    payload: float = 0.0
+    payload: Annotated[float, tyro.conf.arg(metavar="KG")] = 0.0
     """Mass on the flange [kg]."""
-    offset: float = 0.0
-    """Its distance from the flange along the flange's x axis [m]."""
+    offset: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X [Y Z]")] = (0.0,)
+    """Its centre in the flange frame [m]: one number along x, or three. At the k807's home pose the
+    flange's x axis points up."""
     motion: Literal["multisine", "hold"] = "multisine"
     """Random motion of all joints around home, or rest at home."""
-    amplitude: float = 0.3
+    amplitude: Annotated[float, tyro.conf.arg(metavar="RAD")] = 0.3
     """Of the motion, per joint [rad]."""
-    duration: float = 6.0
+    duration: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 6.0
     """Of the motion, after 1 s at rest [s]."""
-    release: float | None = None
+    release: Annotated[
+        float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: never)")
+    ] = None
     """Remove the position loop's offset at this time [s]: from then on the torque sensors alone brake."""
-    bypass: tuple[str, ...] = ()
+    bypass: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="JOINT [JOINT ...]", help_behavior_hint="(default: none)")
+    ] = ()
     """Joints whose virtual passive control is bypassed: their position loop acts alone."""
-    seed: int = 0
+    seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """Seed of motion and sensor noise."""
-    out: Path = Path("out/simulate")
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/simulate")
     """Folder for recording.npz and simulate.png; replaced as a whole."""
 
     def run(self) -> int:

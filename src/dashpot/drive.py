@@ -113,6 +113,10 @@ class Drive:
 
     def __post_init__(self) -> None:
         check_numbers(self, joint=self.name)
+        if self.gear_ratio == 0:
+            raise InputError(
+                "must not be zero", joint=self.name, quantity="gear_ratio [-]", value=self.gear_ratio
+            )
         check_uncertainty(self.uncertainty, joint=self.name)
 
     @classmethod

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from dashpot.controller import Controller, Mode
+from dashpot.controller import Controller
 from dashpot.plant import Plant, full_mass
 from dashpot.sampled import IN_EFFECT, NW, POSITION, TORQUE, VELOCITY, Floats
 
@@ -242,6 +242,3 @@ def modes(arm: SampledArm, controller: Controller, **options: object) -> list[Ar
             )
         )
     return sorted(found, key=lambda mode: -mode.growth)
-
-
-__all__ = ["ArmMode", "Mode", "SampledArm", "closed_loop", "linearise", "modes", "spectral_radius"]

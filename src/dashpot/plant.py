@@ -27,7 +27,10 @@ from dashpot.payload import Payload, hang
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
 
-PRESLIDING = 3.0  # presliding stiffness of Coulomb friction over the transmission's; assumed
+# Presliding stiffness of Coulomb friction over the transmission's; assumed: some 1e-4 rad at the motor before
+# it slips are 1e-6 rad behind a gear of 100. A soft one makes a torque law hunt (docs/decisions.md).
+PRESLIDING = 30.0
+PRESLIDING_STEP = 0.6  # largest product of time step and a stuck rotor's frequency; 2 would be unstable
 HYSTERESIS = 0.25  # stiffness of the hysteresis element over the transmission's; assumed
 SHORTEST_STEP = 1e-6  # [s]; a model that needs a shorter one has a wrong unit, or would run for hours
 STEP_FRACTION = 0.3  # largest product of time step and stiffest natural frequency; about 1 % error in it
@@ -218,10 +221,6 @@ def _drive_records(model: Any, robot: Robot, ranges: Sequence[tuple[float, float
         record["hysteresis"] = drive.hysteresis
         record["hysteresis_stiffness"] = HYSTERESIS * drive.stiffness
         record["coulomb"] = drive.coulomb_friction * (1 + inner)
-        # Stiffer than the transmission and well damped: a stuck rotor moves by less than tau_c / 3k.
-        presliding = PRESLIDING * drive.stiffness
-        record["presliding_stiffness"] = presliding * (1 + inner)
-        record["presliding_damping"] = math.sqrt(presliding * drive.rotor_inertia) * (1 + inner)
         record["stop_lower"], record["stop_upper"] = lower, upper
         record["stop_stiffness"] = 0.5 * drive.stiffness
         light = min(drive.rotor_inertia, inertia[spring.dofadr[0]])
@@ -244,8 +243,12 @@ def _drive_records(model: Any, robot: Robot, ranges: Sequence[tuple[float, float
 
 
 def _set_step(records: NDArray[np.void], robot: Robot, dt: float) -> None:
-    """Fills in what depends on the time step: sensor filter, sensor delay, inner loop."""
+    """Fills in what depends on the time step: presliding, sensor filter, sensor delay, inner loop."""
     for record, drive in zip(records, robot.drives, strict=True):
+        inner = 1 + record["inner_gain"]
+        presliding = min(PRESLIDING * drive.stiffness, drive.rotor_inertia * (PRESLIDING_STEP / dt) ** 2)
+        record["presliding_stiffness"] = presliding * inner
+        record["presliding_damping"] = math.sqrt(presliding * drive.rotor_inertia) * inner
         if drive.sensor_bandwidth is not None:
             omega, zeta = 2 * math.pi * drive.sensor_bandwidth, drive.sensor_damping
             # States: filtered torque and its rate over omega; exact for an input held over the step.

@@ -13,7 +13,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+BLACK, GREEN = "#000000", "#009E73"
 BLUE, VERMILLION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "#7A7A7A"
 
 STYLE: dict[Any, Any] = {
@@ -32,8 +32,6 @@ STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.4,
     "savefig.dpi": 160,
     "pdf.fonttype": 42,
-    # Same input, same file: no dates, no random element names.
-    "svg.hashsalt": "dashpot",
 }
 
 
@@ -61,9 +59,7 @@ __all__ = [
     "BLUE",
     "GREEN",
     "GREY",
-    "ORANGE",
     "PURPLE",
-    "SKY",
     "VERMILLION",
     "Figure",
     "new_figure",

@@ -19,7 +19,7 @@ img { display: block; max-width: 100%; height: auto; margin: .6rem 0; }
 table { border-collapse: collapse; width: 100%; font-size: .9rem; margin: .8rem 0; }
 th, td { text-align: left; padding: .38rem .6rem; border-bottom: 1px solid var(--line); vertical-align: top; }
 th { color: var(--soft); font-weight: 600; }
-td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+th.number, td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 .holds { color: var(--good); font-weight: 600; white-space: nowrap; }
 .fails { color: var(--bad); font-weight: 600; white-space: nowrap; }
 .wide { overflow-x: auto; }
@@ -54,7 +54,10 @@ def table(
         kind = "number" if i in numbers else text.split()[0] if i == classes else ""
         return f'<td class="{kind}">{escape(text)}</td>' if kind else f"<td>{escape(text)}</td>"
 
-    top = "".join(f"<th>{escape(title)}</th>" for title in head)
+    top = "".join(
+        f'<th class="number">{escape(title)}</th>' if i in numbers else f"<th>{escape(title)}</th>"
+        for i, title in enumerate(head)
+    )
     body = "".join(f"<tr>{''.join(cell(i, c) for i, c in enumerate(row))}</tr>" for row in rows)
     return f'<div class="wide"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
 

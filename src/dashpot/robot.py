@@ -50,7 +50,7 @@ class Robot:
             object.__setattr__(self, "home", (0.0,) * len(names))
         if len(self.home) != len(names) or not np.isfinite(self.home).all():
             raise InputError(
-                f"must be {len(names)} finite angles [rad], one per joint",
+                f"must be {len(names)} finite angle{'s' if len(names) > 1 else ''} [rad], one per joint",
                 file=self.file,
                 quantity="home",
                 value=list(self.home),

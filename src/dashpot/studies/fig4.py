@@ -94,6 +94,7 @@ def numbers(result: Fig4) -> dict[str, Any]:
                     "deviation_rad": float(deviation.mean()),
                     "mean_error_per_seed_rad": mean.tolist(),
                     "deviation_per_seed_rad": deviation.tolist(),
+                    "mean_error_spread_rad": float(mean.std()),
                     "deviation_spread_rad": float(deviation.std()),
                 }
     return {"seeds": list(result.seeds), "joints": table}

@@ -35,6 +35,7 @@ class Fig5:
     Attributes:
         speed: Link speed at release, (payloads, seeds) [rad/s].
         slowed_after: Time until below 5 % of it, (payloads, seeds) [s].
+        settled_after: Time after which it stays below, within 3 s, (payloads, seeds) [s].
         drift: Largest motion from 0.3 s to 3.3 s after release, (payloads, seeds) [rad].
         drift_all: The same with the offset removed on the whole wrist, (payloads, seeds) [rad].
         free_end: Distance from the nearest stop, without VPC at the end, (payloads, seeds) [rad].
@@ -51,6 +52,7 @@ class Fig5:
 
     speed: Floats
     slowed_after: Floats
+    settled_after: Floats
     drift: Floats
     drift_all: Floats
     free_end: Floats
@@ -161,9 +163,11 @@ def _brake(recording: Recording, j: int) -> dict[str, float]:
     at = int(np.searchsorted(t, RELEASE - 1e-9))
     judged = (t > RELEASE + WITHIN) & (t <= RELEASE + WITHIN + WATCHED)
     slow = np.flatnonzero(speed[at:] < SLOWED * speed[at])
+    fast = np.flatnonzero(speed[at : at + round(WATCHED / PERIOD)] >= SLOWED * speed[at])
     return {
         "speed": float(speed[at]),
         "slowed_after": float(slow[0] * PERIOD) if len(slow) else np.inf,
+        "settled_after": float((fast[-1] + 1) * PERIOD),
         "drift": float(np.abs(angle[judged] - angle[judged][0]).max()),
     }
 
@@ -198,6 +202,7 @@ def numbers(result: Fig5) -> dict[str, Any]:
             JOINT: {
                 "speed_at_release_rad_s": result.speed[p].tolist(),
                 "slowed_after_s": result.slowed_after[p].tolist(),
+                "settled_after_s": result.settled_after[p].tolist(),
                 "drift_rad": result.drift[p].tolist(),
                 "drift_whole_wrist_released_rad": result.drift_all[p].tolist(),
                 "without_vpc_distance_from_stop_rad": result.free_end[p].tolist(),
@@ -255,6 +260,7 @@ def draw(result: Fig5) -> Figure:
     torque.grid(False)
     torque.spines["right"].set_visible(True)
     torque.tick_params(colors=GREY)
-    right.legend(loc="upper left")
+    right.plot([], [], color=GREY, lw=0.9, label="external torque")
+    right.legend(loc="upper right", bbox_to_anchor=(1.0, 0.62), fontsize=8.5)
     figure.suptitle("Fig. 5  Energy dissipation: joint 7 brakes from its torque sensor alone (first seed)")
     return figure

@@ -27,8 +27,7 @@ AMPLITUDE = 0.35  # [rad], assumed: how far each joint swings about the home pos
 
 ASSUMED = {
     "arm": "K-807i class: published geometry scaled to 0.8 m reach; masses and stops assumed (k807.xml)",
-    "drives": "apparent rotor inertia 0.05 kg m^2, viscous 0.6 N m s/rad, Coulomb 0.15 N m, stiffness "
-    "6000 N m/rad at the wrist: assumed, the paper could not identify them (k807.toml)",
+    "drives": "apparent values of the wrist, assumed: the paper could not identify them",
     "beam": f"{BEAM_MASS} kg, from the axis to 0.23 m, {math.degrees(MOUNT_ANGLE):.0f} degrees from straight "
     "up at home, on the hand at every payload",
     "trajectories": f"random multisines of all seven joints, 0.1-0.4 Hz, +-{AMPLITUDE} rad about home",

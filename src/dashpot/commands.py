@@ -71,7 +71,7 @@ def _relations_table(relations: list[Relation], seeds: int) -> Table:
         pad_edge=False,
     )
     table.add_column("relation", no_wrap=True)
-    for name in ("required", "value", "over seeds"):
+    for name in ("limit", "value", "over seeds"):
         table.add_column(name, justify="right", no_wrap=True)
     groups: dict[tuple[str, str], list[Relation]] = {}
     for relation in relations:
@@ -87,8 +87,8 @@ def _relations_table(relations: list[Relation], seeds: int) -> Table:
         table.add_row(
             f"{mark} {escape(text)}",
             f"{'>=' if least else '<='} {group[0].limit:g}",
-            f"{worst:.3g}",
-            f"{min(r.lowest for r in group):.2g} .. {max(r.highest for r in group):.2g}",
+            f"{worst:.2g}",
+            f"{min(r.lowest for r in group):.2g}..{max(r.highest for r in group):.2g}",
         )
     return table
 

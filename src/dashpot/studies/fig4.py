@@ -65,7 +65,7 @@ def relations(result: Fig4) -> list[Relation]:
     for j, name in enumerate(WRIST):
         ratio = result.deviation[:, heavy, :, j] / result.deviation[:, light, :, j]
         pooled = result.deviation[:, heavy, :, j].mean(0) / result.deviation[:, light, :, j].mean(0)
-        text = "error deviation at 10 lb / at 0 lb, "
+        text = "error deviation, 10 lb / 0 lb, "
         found += [
             judge("fig4", name, text + "PD alone", ratio[:, pd], "at least", 3, together=pooled[pd]),
             judge("fig4", name, text + "VPC", ratio[:, vpc], "at most", 1.5, together=pooled[vpc]),

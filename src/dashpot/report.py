@@ -10,7 +10,7 @@ from pathlib import Path
 STYLE = """
 :root { --ink: #1c2126; --soft: #5d6670; --line: #e3e6ea; --good: #00795a; --bad: #b84a00; }
 * { box-sizing: border-box; }
-body { font: 16px/1.55 system-ui, sans-serif; color: var(--ink); margin: 0 auto; max-width: 62rem;
+body { font: 16px/1.55 system-ui, sans-serif; color: var(--ink); margin: 0 auto; max-width: 68rem;
        padding: 2rem 1.25rem 4rem; }
 h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 .3rem; }
 h2 { margin: 2.6rem 0 .6rem; font-size: 1.3rem; border-top: 1px solid var(--line); padding-top: 1.2rem; }

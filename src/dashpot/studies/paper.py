@@ -167,10 +167,10 @@ def _report(folder: Path, relations: list[Relation], results: dict[str, Any]) ->
                 relation.subject,
                 relation.text,
                 f"{relation.value:.3g}",
-                f"{relation.sense} {relation.limit:g}",
+                f"{relation.sense}\u00a0{relation.limit:g}".replace(" ", "\u00a0"),
                 f"{relation.lowest:.3g} ... {relation.highest:.3g}",
                 f"{relation.seeds_holding}/{relation.seeds}",
-                relation.judged,
+                "mean" if "mean" in relation.judged else "worst seed",
                 "holds" if relation.holds else "fails",
             ]
             for relation in relations

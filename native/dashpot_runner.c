@@ -34,11 +34,10 @@ static double gaussian(unsigned long long *state, double *spare)
     return radius * cos(angle);
 }
 
-/* Elastic - perfectly plastic element: sticks exactly, dissipates on slip, never drifts. */
+/* Torque z of an elastic - perfectly plastic element: sticks exactly, dissipates on slip, never drifts. */
 static double slip(double *z, double delta, double stiffness, double limit)
 {
-    *z = clamp(*z + delta, limit / stiffness);
-    return stiffness * *z;
+    return *z = clamp(*z + stiffness * delta, limit);
 }
 
 /* Reads the engine's new state: element forces, transmitted torque, sensor. */
@@ -96,7 +95,7 @@ static void actuate(dp_drive *d, const dp_run_args *a, const double *reference, 
     /* The engine's own spring carries k e + c e'; only what differs from it is applied here. */
     double spring = d->half_gap > 0.0 ? d->stiffness * clamp(e, d->half_gap) : 0.0;
     if (d->hysteresis > 0.0)
-        spring -= d->hysteresis_stiffness * d->hysteresis_z;
+        spring -= d->hysteresis_z;
     double link = external, angle = q + e;
     if (angle > d->stop_upper || angle < d->stop_lower) {
         double depth = angle > d->stop_upper ? angle - d->stop_upper : angle - d->stop_lower;

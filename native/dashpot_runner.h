@@ -17,33 +17,36 @@ extern "C" {
 
 enum { DP_MAX_DELAY = 64 };
 
-/* Drive of one joint as simulated, with its state at the end (cleared by dp_run). */
+/* Drive of one joint as simulated, with its state at the end (cleared by dp_run). What every physics step
+ * touches comes first: between two of our turns the engine has emptied the first-level cache. */
 typedef struct {
     double stiffness, damping;        /* transmission k [N m/rad], c [N m s/rad] */
     double half_gap;                  /* backlash: the spring is slack for |e| < half_gap [rad] */
     double hysteresis;                /* limit of the Maxwell-slip element across the spring [N m] */
-    double hysteresis_stiffness;      /* [N m/rad] */
     double coulomb;                   /* rotor friction limit [N m] */
     double presliding_stiffness;      /* [N m/rad] */
     double presliding_damping;        /* [N m s/rad] */
     double stop_lower, stop_upper;    /* link angle at which the stops begin [rad] */
-    double stop_stiffness, stop_damping;
     double torque_limit;              /* of the drive [N m] */
     double actuator_gain;             /* 1 + relative error of the torque produced */
     double inner_gain;                /* inner torque loop: u + g (u - tau_s); 0 = none */
-    double inner_pole;                /* per-step decay of its torque filter, 0 = no filter */
-    double servo_kp, servo_kd, servo_ki, servo_limit;
-    double sensor_gain, sensor_bias, sensor_noise, sensor_resolution;
     double filter_a[2][2], filter_b[2]; /* sensor low-pass at the physics step, output state 0 */
-    double position_resolution;       /* [rad], 0 = ideal */
     int rotor_qpos, rotor_dof, spring_qpos, spring_dof;
     int control;                      /* index in the controller, or -1: the robot's own servo */
     int average, filtered, sensor_delay; /* sampling; delay in physics steps */
+    /* state */
+    double friction_z, tau, filter_x[2], sum, motor, measured_tau, friction, asked;
+
+    double hysteresis_stiffness;      /* [N m/rad] */
+    double stop_stiffness, stop_damping;
+    double inner_pole;                /* per-step decay of its torque filter, 0 = no filter */
+    double servo_kp, servo_kd, servo_ki, servo_limit;
+    double sensor_gain, sensor_bias, sensor_noise, sensor_resolution;
+    double position_resolution;       /* [rad], 0 = ideal */
     int inner_steps;                  /* physics steps per inner-loop period */
     int reserved;                     /* keeps the doubles below aligned */
     /* state */
-    double friction_z, hysteresis_z, tau, filter_x[2], sum, integral, motor, measured_tau, friction;
-    double inner_torque, inner_correction, asked, spare;
+    double hysteresis_z, integral, inner_torque, inner_correction, spare;
     double delay[DP_MAX_DELAY];
     unsigned long long rng;
 } dp_drive;

@@ -35,25 +35,23 @@ HYSTERESIS = 0.25  # stiffness of the hysteresis element over the transmission's
 SHORTEST_STEP = 1e-6  # [s]; a model that needs a shorter one has a wrong unit, or would run for hours
 STEP_FRACTION = 0.3  # largest product of time step and stiffest natural frequency; about 1 % error in it
 
-_STATE = ["friction_z", "hysteresis_z", "tau", "filter_x0", "filter_x1", "sum", "integral", "motor"]
-_STATE += ["measured_tau", "friction", "inner_torque", "inner_correction", "asked", "spare"]
+_HOT = ("stiffness", "damping", "half_gap", "hysteresis", "coulomb")
+_HOT += ("presliding_stiffness", "presliding_damping", "stop_lower", "stop_upper")
+_HOT += ("torque_limit", "actuator_gain", "inner_gain")
+_INDICES = ("rotor_qpos", "rotor_dof", "spring_qpos", "spring_dof", "control")
+_COLD = ("hysteresis_stiffness", "stop_stiffness", "stop_damping", "inner_pole")
+_COLD += ("servo_kp", "servo_kd", "servo_ki", "servo_limit")
+_COLD += ("sensor_gain", "sensor_bias", "sensor_noise", "sensor_resolution", "position_resolution")
 DRIVE_DTYPE = np.dtype(
     [
-        *(
-            (name, "f8")
-            for name in ("stiffness", "damping", "half_gap", "hysteresis", "hysteresis_stiffness")
-        ),
-        *((name, "f8") for name in ("coulomb", "presliding_stiffness", "presliding_damping")),
-        *((name, "f8") for name in ("stop_lower", "stop_upper", "stop_stiffness", "stop_damping")),
-        *((name, "f8") for name in ("torque_limit", "actuator_gain", "inner_gain", "inner_pole")),
-        *((name, "f8") for name in ("servo_kp", "servo_kd", "servo_ki", "servo_limit")),
-        *((name, "f8") for name in ("sensor_gain", "sensor_bias", "sensor_noise", "sensor_resolution")),
+        *((name, "f8") for name in _HOT),
         ("filter_a", "f8", (2, 2)),
         ("filter_b", "f8", (2,)),
-        ("position_resolution", "f8"),
-        *((name, "i4") for name in ("rotor_qpos", "rotor_dof", "spring_qpos", "spring_dof", "control")),
-        *((name, "i4") for name in ("average", "filtered", "sensor_delay", "inner_steps", "reserved")),
-        *((name, "f8") for name in _STATE),
+        *((name, "i4") for name in (*_INDICES, "average", "filtered", "sensor_delay")),
+        *((name, "f8") for name in ("friction_z", "tau", "filter_x0", "filter_x1", "sum", "motor")),
+        *((name, "f8") for name in ("measured_tau", "friction", "asked", *_COLD)),
+        *((name, "i4") for name in ("inner_steps", "reserved")),
+        *((name, "f8") for name in ("hysteresis_z", "integral", "inner_torque", "inner_correction", "spare")),
         ("delay", "f8", (_native.MAX_DELAY,)),
         ("rng", "u8"),
     ],

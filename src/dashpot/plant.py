@@ -35,11 +35,11 @@ HYSTERESIS = 0.25  # stiffness of the hysteresis element over the transmission's
 SHORTEST_STEP = 1e-6  # [s]; a model that needs a shorter one has a wrong unit, or would run for hours
 STEP_FRACTION = 0.3  # largest product of time step and stiffest natural frequency; about 1 % error in it
 
-_HOT = ("stiffness", "damping", "half_gap", "hysteresis", "coulomb")
+_HOT: tuple[str, ...] = ("stiffness", "damping", "half_gap", "hysteresis", "coulomb")
 _HOT += ("presliding_stiffness", "presliding_damping", "stop_lower", "stop_upper")
 _HOT += ("torque_limit", "actuator_gain", "inner_gain")
 _INDICES = ("rotor_qpos", "rotor_dof", "spring_qpos", "spring_dof", "control")
-_COLD = ("hysteresis_stiffness", "stop_stiffness", "stop_damping", "inner_pole")
+_COLD: tuple[str, ...] = ("hysteresis_stiffness", "stop_stiffness", "stop_damping", "inner_pole")
 _COLD += ("servo_kp", "servo_kd", "servo_ki", "servo_limit")
 _COLD += ("sensor_gain", "sensor_bias", "sensor_noise", "sensor_resolution", "position_resolution")
 DRIVE_DTYPE = np.dtype(

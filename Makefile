@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 NATIVE := $(wildcard native/*) CMakeLists.txt pyproject.toml
+# An editable install knows the modules it was made with: one that comes or goes touches its folder.
+FOLDERS := $(shell find src -type d -not -name __pycache__)
 
 .PHONY: demo test lint bench evidence-fig6 clean
 
@@ -29,7 +31,7 @@ $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "dashpot needs Python 3.11 or newer; try: make PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.installed: $(NATIVE) | $(VENV)/bin/python
+$(VENV)/.installed: $(NATIVE) $(FOLDERS) | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	touch $@
 

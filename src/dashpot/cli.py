@@ -33,9 +33,9 @@ class Reproduce:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot import commands
+        from dashpot.commands.reproduce import reproduce
 
-        return commands.reproduce(self.out, self.seeds, self.threads)
+        return reproduce(self.out, self.seeds, self.threads)
 
 
 @dataclass
@@ -72,9 +72,9 @@ class Simulate:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot import commands
+        from dashpot.commands.simulate import simulate
 
-        return commands.simulate(self)
+        return simulate(self)
 
 
 Command = (

@@ -1,0 +1,10 @@
+"""What the commands of `dashpot.cli` do; imported only when one runs."""
+
+from __future__ import annotations
+
+import mujoco
+
+
+def quiet_engine() -> None:
+    """Keeps MuJoCo from writing MUJOCO_LOG.TXT into the current folder; a divergence is reported anyway."""
+    mujoco.set_mju_user_warning(lambda _: None)

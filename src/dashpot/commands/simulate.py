@@ -1,0 +1,170 @@
+"""``dashpot simulate``."""
+
+from __future__ import annotations
+
+import math
+import threading
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dashpot.controller import Controller, load_controller
+from dashpot.errors import InputError, InputWarning
+from dashpot.output import whole_folder
+from dashpot.payload import Payload
+from dashpot.plant import Plant, build
+from dashpot.plots import save
+from dashpot.recording import Recording
+from dashpot.robot import MAX_ANGLE, Robot
+from dashpot.simulate import Event, Scenario, run
+from dashpot.trajectory import Trajectory, hold, multisine
+
+if TYPE_CHECKING:
+    from dashpot.cli import Simulate
+
+from dashpot.commands import quiet_engine
+from dashpot.commands.simulate_view import draw, show
+
+LEAD_IN = 1.0  # [s] at rest before a motion
+MAX_TICKS = 1_000_000  # of one recording: about 1 GB of memory for seven joints
+
+
+def simulate(options: Simulate) -> int:
+    """``dashpot simulate``; returns the exit status: 1 if the simulation diverged."""
+    _check(options)
+    quiet_engine()
+    robot, config = Robot.load(options.robot), load_controller(options.controller)
+    controller = Controller.from_config(config, robot.drives)
+    payload = Payload(options.payload, _offset(options))
+    plant = build(robot, config.period, [payload] if payload.mass > 0 else [])
+    path = _path(options, robot, config.period)
+    _warn_of_range(plant, path, options)
+    _warn_of_saturation(plant, path, payload)
+    events = [Event(path.start, joint, "mode", "bypass") for joint in options.bypass]
+    if options.release is not None:
+        if not path.time[0] <= options.release <= path.time[-1]:  # also catches NaN
+            raise InputError(
+                f"must be within the motion, {path.time[0]:g} to {path.time[-1]:g} s",
+                quantity="--release [s]",
+                value=options.release,
+            )
+        events.append(Event(options.release, "all", "position_loop", False))
+    with whole_folder(options.out) as folder:
+        recording = _run(Scenario(plant, controller, path, events, seed=options.seed))
+        recording.settings |= {
+            "controller": str(options.controller),
+            "payload_kg": options.payload,
+            "offset_m": payload.position.tolist(),
+        }
+        recording.save(folder / "recording.npz")
+        save(draw(recording, controller, options), folder / "simulate")
+    show(recording, robot, controller, plant, options)
+    return 1 if recording.diverged_at is not None else 0
+
+
+def _check(options: Simulate) -> None:
+    offset = _offset(options)
+    if not np.isfinite(offset).all():
+        raise InputError("must be finite", quantity="--offset [m]", value=offset)
+    for key, unit, low, high in (
+        ("payload", "kg", 0.0, math.inf),
+        ("amplitude", "rad", 0.0, MAX_ANGLE),
+        ("duration", "s", 0.0, math.inf),
+        ("seed", "-", 0.0, math.inf),
+    ):
+        value = getattr(options, key)
+        rule = ""
+        if isinstance(value, float) and not math.isfinite(value):
+            rule = "must be finite"
+        elif value < low or (key == "duration" and value == 0):
+            rule = "must be positive" if key == "duration" else "must not be negative"
+        elif value > high:
+            rule = f"must be at most {high:.4g} {unit}; check the unit"
+        if rule:
+            raise InputError(rule, quantity=f"--{key} [{unit}]", value=value)
+
+
+def _offset(options: Simulate) -> float | tuple[float, float, float]:
+    """As `Payload` takes it."""
+    match options.offset:
+        case (x,):
+            return x
+        case (x, y, z):
+            return x, y, z
+    raise InputError("must be one number or three", quantity="--offset [m]", value=options.offset)
+
+
+def _run(scenario: Scenario) -> Recording:
+    """`run` on a thread of its own: Ctrl-C need not wait for the native loop."""
+    done: list[Recording] = []
+    failed: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            done.append(run(scenario))
+        except BaseException as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join()
+    if failed:
+        raise failed[0]
+    return done[0]
+
+
+def _path(options: Simulate, robot: Robot, period: float) -> Trajectory:
+    if options.duration > MAX_TICKS * period:
+        raise InputError(
+            f"must be at most {MAX_TICKS * period:g} s, {MAX_TICKS} ticks of {period:g} s",
+            quantity="--duration [s]",
+            value=options.duration,
+        )
+    if options.motion == "hold":
+        return hold(robot.home, options.duration, period)
+    return multisine(
+        robot.home, options.duration, period, options.seed, amplitude=options.amplitude, lead_in=LEAD_IN
+    )
+
+
+def _warn_of_range(plant: Plant, path: Trajectory, options: Simulate) -> None:
+    """Warns of joints whose reference leaves the range in the model."""
+    for drive, record, q in zip(plant.robot.drives, plant.drives, path.position.T, strict=True):
+        lower, upper = float(record["stop_lower"]), float(record["stop_upper"])
+        if q.min() < lower or q.max() > upper:
+            message = InputError(
+                f"runs into a stop: the motion covers {q.min():.3g} to {q.max():.3g} rad, the joint may "
+                f"move from {lower:.4g} to {upper:.4g} rad; lower it or change home",
+                file=plant.robot.file,
+                joint=drive.name,
+                quantity="--amplitude [rad]",
+                value=options.amplitude,
+            )
+            warnings.warn(str(message), InputWarning, stacklevel=2)
+
+
+def _warn_of_saturation(plant: Plant, path: Trajectory, payload: Payload) -> None:
+    """Warns of joints whose motor cannot hold the load somewhere along the path."""
+    some = path.position[:: max(1, len(path.position) // 50)]
+    load = np.abs([plant.load_torque(q) for q in some]).max(0)
+    for drive, torque in zip(plant.robot.drives, load, strict=True):
+        if torque > drive.torque_limit:
+            if payload.mass > 0:
+                rule, quantity, value = "saturates the motor: holding it", "payload [kg]", payload.mass
+                advice = f", torque_limit is {drive.torque_limit:g} N m; use a lighter payload"
+            else:
+                rule, quantity, value = (
+                    "too low: the arm's own weight",
+                    "torque_limit [N m]",
+                    drive.torque_limit,
+                )
+                advice = "; check the masses in the model"
+            message = InputError(
+                f"{rule} takes up to {torque:.3g} N m{advice} or a pose that carries less",
+                file=plant.robot.file,
+                joint=drive.name,
+                quantity=quantity,
+                value=value,
+            )
+            warnings.warn(str(message), InputWarning, stacklevel=2)

@@ -1,0 +1,209 @@
+"""Tables and picture of ``dashpot simulate``."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from dashpot.controller import TORQUE_LIMITED, Controller
+from dashpot.plant import Plant
+from dashpot.plots import BLACK, BLUE, GREY, VERMILLION, Figure, new_figure
+from dashpot.recording import Recording
+from dashpot.robot import Robot
+from dashpot.sampled import Floats
+from dashpot.vibration import CORNER, WINDOW, vibration
+
+if TYPE_CHECKING:
+    from dashpot.cli import Simulate
+
+
+OVER_NOISE, OF_LIMIT = 10.0, 0.02  # torque RMS that counts as oscillation: of the sensor noise, of the limit
+SLOWED = 0.05  # of its speed at release: a braked joint
+AT_REST = 0.1  # [deg/s] too slow to brake
+
+
+def title(recording: Recording, options: Simulate) -> str:
+    """Robot, controller and load."""
+    title = f"{recording.settings['robot']} under {Path(options.controller).name}, "
+    if options.payload == 0:
+        return title + "no payload"
+    at = ", ".join(f"{part:g}" for part in options.offset)
+    return f"{title}payload {options.payload:g} kg at {f'({at})' if len(options.offset) > 1 else at} m"
+
+
+def show(recording: Recording, robot: Robot, controller: Controller, plant: Plant, options: Simulate) -> None:
+    """Prints the table per joint, the release if there was one, and how to find the picture."""
+    console = Console()
+    table = _table(escape(title(recording, options)))
+    for name in ("joint", "control"):
+        table.add_column(name, no_wrap=name != "joint")
+    for name in ("error [deg]", "dev.", "torque [N m]", "of limit", "vibration [N m]"):
+        table.add_column(escape(name), justify="right", no_wrap=True)
+    before = np.isfinite(recording.position).all(1)
+    if options.release is not None:
+        before &= recording.time < options.release - 1e-9
+    shown = before & (recording.time >= 0)
+    error = np.degrees((recording.reference - recording.position)[shown])
+    torque = np.abs(recording.in_effect[before])
+    found = None
+    if recording.diverged_at is None:
+        found = vibration(recording.sample[before], controller.period)
+    oscillating = []
+    for j, drive in enumerate(robot.drives):
+        kind = "servo" if drive.name not in controller.joints else "VPC"
+        kind = "bypassed" if _bypassed(drive.name, options) else kind
+        largest, used, shaken = "-", "-", "-"
+        if len(torque):
+            share = torque[:, j].max() / drive.torque_limit
+            largest = f"{torque[:, j].max():.2f}"
+            used = (
+                f"[{'red' if share >= 1 else 'yellow' if share > 0.8 else 'default'}]{100 * share:.0f} %[/]"
+            )
+        if found is not None:
+            rms, frequency = found[0][j], found[1][j]
+            shaken = f"{rms:.2f}"
+            if rms > max(OVER_NOISE * drive.torque_noise, OF_LIMIT * drive.torque_limit):
+                shaken = f"[yellow]{shaken}[/]"
+                oscillating.append(
+                    f"{escape(drive.name)} oscillates: {rms:.3g} N m RMS at {frequency:.3g} Hz"
+                )
+        table.add_row(
+            escape(drive.name),
+            kind,
+            f"{error[:, j].mean():.3f}" if len(error) else "-",
+            f"{error[:, j].std():.3f}" if len(error) else "-",
+            largest,
+            used,
+            shaken,
+        )
+    console.print(table)
+    when = "" if options.release is None else f", all before the release at {options.release:g} s"
+    console.print(
+        f"mean error, its standard deviation, largest torque, RMS of sensed torque above {CORNER:g} Hz in "
+        f"the last {WINDOW:g} s{when}",
+        highlight=False,
+        style="dim",
+    )
+    if options.release is not None:
+        console.print()
+        console.print(_release_table(recording, controller, options.release))
+    console.print()
+    console.print(plant.step_said, highlight=False, style="dim")
+    for line in oscillating:
+        console.print(f"[yellow]{line}[/]", highlight=False)
+    if recording.diverged_at is not None:
+        console.print(
+            f"[bold red]diverged[/] at {recording.diverged_at:.3f} s: the loop is unstable with this payload",
+            highlight=False,
+        )
+    elif (recording.status & TORQUE_LIMITED).any():
+        share = 100 * ((recording.status & TORQUE_LIMITED) != 0).mean()
+        console.print(f"[yellow]torque limit reached[/] in {share:.1f} % of the ticks", highlight=False)
+    console.print(f"seed {options.seed}; open {escape(str(options.out / 'simulate.png'))}", highlight=False)
+
+
+def _table(title: str) -> Table:
+    return Table(
+        title=title,
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+        collapse_padding=True,
+    )
+
+
+def _bypassed(joint: str, options: Simulate) -> bool:
+    return joint in options.bypass or "all" in options.bypass
+
+
+def _release_table(recording: Recording, controller: Controller, release: float) -> Table:
+    """How each released joint slowed down, and how far it moved until then and from then to the end."""
+    table = _table(f"After the release at {release:g} s")
+    table.add_column("joint")
+    percent = f"{100 * SLOWED:g} %"
+    for name in ("speed [deg/s]", f"below {percent} after [s]", "moved [deg]", "then, to the end [deg]"):
+        table.add_column(escape(name), justify="right", no_wrap=True)
+    after = (recording.time >= release - 1e-9) & np.isfinite(recording.link_position).all(1)
+    time = recording.time[after] - release
+    for name in controller.joints:
+        j = recording.joints.index(name)
+        angle = np.degrees(recording.link_position[after, j])
+        speed = np.abs(np.degrees(recording.link_velocity[after, j]))
+        if len(time) == 0:
+            table.add_row(escape(name), *4 * "-")
+            continue
+        slow = np.flatnonzero(speed < SLOWED * speed[0])
+        if speed[0] < AT_REST:
+            took, moved, then = "at rest", "-", f"{angle[-1] - angle[0]:.2f}"
+        elif len(slow) == 0:
+            took, moved, then = "never", f"{angle[-1] - angle[0]:.2f}", "-"
+        else:
+            at = slow[0]
+            took, moved, then = (
+                f"{time[at]:.3f}",
+                f"{angle[at] - angle[0]:.2f}",
+                f"{angle[-1] - angle[at]:.2f}",
+            )
+        table.add_row(escape(name), f"{speed[0]:.2f}", took, moved, then)
+    return table
+
+
+def draw(recording: Recording, controller: Controller, options: Simulate) -> Figure:
+    """Position against reference and sensed torque of each controlled joint, up to four side by side."""
+    shown = [recording.joints.index(name) for name in controller.joints]
+    blocks = math.ceil(len(shown) / 4)
+    columns = math.ceil(len(shown) / blocks)
+    figure, axes = new_figure(2 * blocks, columns, max(5.0, 2.8 * columns), 0.9 + 4.2 * blocks, sharex=True)
+    for i in range(blocks * columns):
+        block, column = divmod(i, columns)
+        above, below = axes[2 * block : 2 * block + 2, column]
+        if i >= len(shown):
+            above.remove()
+            below.remove()
+            continue
+        j = shown[i]
+        reference, link = (
+            np.degrees(array[:, j]) for array in (recording.reference, recording.link_position)
+        )
+        above.plot(recording.time, reference, "--", color=GREY, lw=1.2, label="reference")
+        above.plot(recording.time, link, color=BLUE, label="link")
+        below.plot(recording.time, recording.sample[:, j], color=VERMILLION, lw=0.9, label="sensed torque")
+        above.set_title(recording.joints[j], parse_math=False)
+        for axis, data in ((above, (reference, link)), (below, (recording.sample[:, j],))):
+            _show_at_least(axis, 1.0, np.concatenate(data))
+            if options.release is not None:
+                axis.axvline(options.release, color=BLACK, ls=":", lw=1.0, label="release")
+        below.set_xlabel("time [s]")
+        below.tick_params(labelbottom=True)
+        if column == 0:
+            above.set_ylabel("position [deg]")
+            below.set_ylabel("sensed torque [N m]")
+    lines = {line.get_label(): line for axis in (axes[0, 0], axes[1, 0]) for line in axis.get_lines()}
+    legend = figure.legend(
+        lines.values(),
+        lines.keys(),
+        title=title(recording, options),
+        loc="outside upper center",
+        ncols=len(lines),
+        fontsize=9,
+        title_fontsize=11,
+    )
+    legend.get_title().set_parse_math(False)
+    return figure
+
+
+def _show_at_least(axis: Any, span: float, data: Floats) -> None:
+    """Keeps noise from filling the axis, and ticks free of a common offset or factor."""
+    axis.ticklabel_format(axis="y", useOffset=False, scilimits=(-9, 9))
+    data = data[np.isfinite(data)]
+    if len(data) and np.ptp(data) < span:
+        middle = (data.min() + data.max()) / 2
+        axis.set_ylim(middle - 0.55 * span, middle + 0.55 * span)

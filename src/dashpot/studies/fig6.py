@@ -294,7 +294,7 @@ def draw(result: Fig6) -> Figure:
     top = axes[1, 0].get_ylim()[1]
     axes[1, 0].text(RELEASE + 0.05, top, "offset\nremoved", color=GREY, fontsize=8, va="top")
     axes[1, 0].text(TAP_AT - 0.05, top, "tap", color=GREY, fontsize=8, va="top", ha="right")
-    axes[1, 1].legend(loc="lower left", fontsize=8)
+    axes[1, 1].legend(loc="lower right", fontsize=8)
     figure.suptitle("Fig. 6  (a) one torque loop too strong for a light load   (b) resonance at 5 lb only")
     return figure
 

@@ -77,8 +77,11 @@ class Drive:
         torque_noise: Standard deviation of one torque sample, simulated [N m].
         torque_resolution: Quantisation step of a torque sample, simulated [N m].
         torque_latency: Delay inside the sensor, simulated [s].
-        sensor_bandwidth: Natural frequency of the sensor's second-order low-pass [Hz]; None: no filter.
-        sensor_damping: Its damping ratio [-].
+        sensor_bandwidth: Natural frequency of the sensor's low-pass filter [Hz]; None: no filter.
+        sensor_order: 1 or 2.
+        sensor_damping: Damping ratio of a second-order one [-].
+        link_inertia: Least inertia of the link itself that the user vouches for [kg m^2].
+        link_friction: Least viscous friction at the link that the user vouches for [N m s/rad].
         position_resolution: Quantisation step of the encoder, simulated [rad].
         backlash: Total play of the transmission [rad].
         hysteresis: Largest hysteresis torque of the transmission [N m].
@@ -103,7 +106,10 @@ class Drive:
     torque_resolution: float = number("N m", 0, 1e3, default=0.0)
     torque_latency: float = number("s", 0, 0.1, default=0.0)
     sensor_bandwidth: float | None = number("Hz", 0, 1e6, open_low=True, typical=(1, 1e5), default=None)
+    sensor_order: int = 2
     sensor_damping: float = number("-", 0, 10, open_low=True, default=0.8)
+    link_inertia: float = number("kg m^2", 0, 1e4, default=0.0)
+    link_friction: float = number("N m s/rad", 0, 1e4, default=0.0)
     position_resolution: float = number("rad", 0, 0.1, default=0.0)
     backlash: float = number("rad", 0, 0.2, default=0.0)
     hysteresis: float = number("N m", 0, 1e3, default=0.0)

@@ -1,9 +1,8 @@
 """The port of a sampled joint: link velocity in, reaction energy out, lifted exactly over one period.
 
-The joint is cut at its output. The link velocity w is prescribed, constant on N sub-intervals of a period;
-``p_i`` is minus the integral of the transmitted torque over sub-interval i, so that ``sum p_i w_i`` is the
-energy put into the joint in that period, exactly. Rotor, friction, transmission, sensor filter, sampler,
-controller block, delay line and hold are all inside.
+The link velocity w is constant on N sub-intervals of a period; ``p_i`` is minus the integral of the
+transmitted torque over sub-interval i, so that ``sum p_i w_i`` is the energy put into the joint in that
+period, exactly.
 """
 
 from __future__ import annotations
@@ -14,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from dashpot.drive import Drive
-from dashpot.sampled import IN_EFFECT, NW, POSITION, TORQUE, VELOCITY, Floats
+from dashpot.certify.joint import SampledJoint
+from dashpot.sampled import Floats
 
 
 @dataclass(frozen=True)
 class Port:
-    """A lifted joint over one period, ``x+ = A x + B w``, ``p = C x + D w``.
+    """A lifted joint over one period, ``x+ = A x + B w``, ``p = C x + D w``; x is the state before a tick.
 
     Attributes:
         A: (n, n).
@@ -52,114 +51,44 @@ class Port:
         states = np.linalg.solve(z * np.eye(len(self.A)) - self.A, self.B + 0j * z)
         return np.asarray(self.D + self.C @ states, np.complex128)
 
-
-@dataclass(frozen=True)
-class _Continuous:
-    """Joint between ticks: ``x' = A x + b_w w + b_u u``; rows give transmitted and seen torque."""
-
-    A: Floats
-    b_w: Floats
-    b_u: Floats
-    torque: Floats
-    torque_w: float
-    seen: Floats
-    seen_w: float
+    def least_damping(self, omega: Floats) -> Floats:
+        """Smallest eigenvalue of ``(G + G^H)/2`` in damping units at angles (...,): (...) [N m s/rad]."""
+        G = self.response(omega)
+        H = (G + np.conj(np.swapaxes(G, -1, -2))) / 2
+        return np.asarray(np.linalg.eigvalsh(H)[..., 0] * self.scale, float)
 
 
-def _continuous(drive: Drive, position: bool) -> _Continuous:
-    """States: deflection (rotor minus link), rotor speed, [rotor position], [filter, filter rate]."""
-    m, v, k, c = drive.rotor_inertia, drive.viscous_friction, drive.stiffness, drive.damping
-    filtered = drive.sensor_bandwidth is not None
-    n = 2 + position + 2 * filtered
-    A, b_w, b_u = np.zeros((n, n)), np.zeros(n), np.zeros(n)
-    torque = np.zeros(n)
-    torque[:2] = k, c
-    A[0, 1], b_w[0] = 1.0, -1.0
-    A[1] = -torque / m
-    A[1, 1] -= v / m
-    b_w[1], b_u[1] = c / m, 1 / m
-    if position:
-        A[2, 1] = 1.0
-    seen, seen_w = torque, -c
-    if drive.sensor_bandwidth is not None:
-        omega, zeta, i = 2 * np.pi * drive.sensor_bandwidth, drive.sensor_damping, 2 + position
-        A[i, i + 1] = omega
-        A[i + 1] += omega * torque
-        A[i + 1, i] -= omega
-        A[i + 1, i + 1] -= 2 * zeta * omega
-        b_w[i + 1] = -omega * c
-        seen, seen_w = np.eye(n)[i], 0.0
-    return _Continuous(A, b_w, b_u, torque, -c, seen, seen_w)
-
-
-def lift(drive: Drive, block: NDArray[np.void], sampling: str, period: float, intervals: int) -> Port:
-    """Lifts a joint with its controller block over one period.
-
-    The torque channel's constant gain error, Coulomb friction, backlash and limits are left out.
+def lift(joint: SampledJoint, intervals: int) -> Port:
+    """Lifts a joint over one period.
 
     Args:
-        drive: The joint's drive.
-        block: A record of `dashpot.sampled.BLOCK_DTYPE`.
-        sampling: "average" or "point".
-        period: [s].
+        joint: See `dashpot.certify.joint.sampled_joint`.
         intervals: N.
     """
-    uses_position = bool(block["D"][POSITION] != 0 or np.any(block["B"][:, POSITION] != 0))
-    joint = _continuous(drive, uses_position)
-    n = len(joint.A)
-    # Over one sub-interval: state, and the integrals of transmitted and seen torque.
-    full = np.zeros((n + 4, n + 4))
-    full[:n, :n], full[:n, n], full[:n, n + 1] = joint.A, joint.b_u, joint.b_w
-    full[n + 2, :n], full[n + 2, n + 1] = joint.torque, joint.torque_w
-    full[n + 3, :n], full[n + 3, n + 1] = joint.seen, joint.seen_w
-    exact = expm(full * (period / intervals))
-    step, step_u, step_w = exact[:n, :n], exact[:n, n], exact[:n, n + 1]
+    n, size, N = len(joint.flow), len(joint.jump), intervals
+    units = joint.units
+    # Over one sub-interval, scaled: state, and the integral of the transmitted torque.
+    full = np.zeros((n + 2, n + 2))
+    full[:n, :n] = joint.flow * units[:n] / units[:n, None]
+    full[:n, n] = joint.velocity_in / units[:n]
+    full[n + 1, :n], full[n + 1, n] = joint.torque * units[:n], joint.torque_w
+    exact = expm(full * (joint.period / N))
+    step, step_w = exact[:n, :n], exact[:n, n]
+    torque, torque_w = exact[n + 1, :n], exact[n + 1, n]
 
-    X, U, W = np.eye(n), np.zeros(n), np.zeros((n, intervals))  # state so far, from x, u and w
-    energy, energy_u, D = np.zeros((intervals, n)), np.zeros(intervals), np.zeros((intervals, intervals))
-    mean, mean_u, mean_w = np.zeros(n), 0.0, np.zeros(intervals)
-    for i in range(intervals):
-        torque, torque_u, torque_w = exact[n + 2, :n], exact[n + 2, n], exact[n + 2, n + 1]
-        energy[i], energy_u[i], D[i] = -torque @ X, -(torque @ U + torque_u), -torque @ W
-        D[i, i] -= torque_w
-        seen, seen_u, seen_w = exact[n + 3, :n], exact[n + 3, n], exact[n + 3, n + 1]
-        mean, mean_u, mean_w = mean + seen @ X, mean_u + seen @ U + seen_u, mean_w + seen @ W
-        mean_w[i] += seen_w
-        X, U, W = step @ X, step @ U + step_u, step @ W
-        W[:, i] += step_w
-
-    # Closed loop: [joint, interval average, torque in effect, block, delay line].
-    average = sampling == "average"
-    nx, latency = int(block["nx"]), int(block["latency"])
-    in_effect = n + average
-    first = in_effect + 1
-    line = first + nx
-    size = line + latency
-    inputs = np.zeros((NW, size))
-    if average:
-        inputs[TORQUE, n] = 1.0
-    else:
-        inputs[TORQUE, :n] = joint.seen
-    inputs[IN_EFFECT, in_effect] = inputs[VELOCITY, 1] = 1.0
-    if uses_position:
-        inputs[POSITION, 2] = 1.0
-    command = block["D"] @ inputs
-    command[first:line] += block["C"][:nx]
-    effect = np.eye(size)[line + latency - 1] if latency else command
-
-    A, B = np.zeros((size, size)), np.zeros((size, intervals))
-    A[:n, :n], B[:n] = X, W
-    A[:n] += np.outer(U, effect)
-    if average:
-        A[n, :n], B[n] = mean / period, mean_w / period
-        A[n] += mean_u / period * effect
-    A[in_effect] = effect
-    A[first:line] = block["B"][:nx] @ inputs
-    A[first:line, first:line] += block["A"][:nx, :nx]
-    if latency:
-        A[line] = command
-        A[line + 1 :, line:-1] = np.eye(latency - 1)
-    C = np.zeros((intervals, size))
-    C[:, :n] = energy
-    C += np.outer(energy_u, effect)
-    return Port(A, B, C, D, period)
+    powers = np.empty((N + 1, n, n))  # of the sub-interval's transition
+    powers[0] = np.eye(n)
+    for i in range(N):
+        powers[i + 1] = step @ powers[i]
+    moved = powers[:N] @ step_w  # (N, n): effect of a velocity i sub-intervals ago
+    flow = np.eye(size)
+    flow[:n, :n] = powers[N]
+    B = np.zeros((size, N))
+    B[:n] = moved[::-1].T
+    energy = np.zeros((N, size))
+    energy[:, :n] = -torque @ powers[:N]
+    lag = np.subtract.outer(np.arange(N), np.arange(N))
+    response = np.concatenate([[-torque_w], -(moved @ torque)])
+    D = np.where(lag >= 0, response[np.clip(lag, 0, N)], 0.0)
+    jump = joint.jump * units / units[:, None]
+    return Port(flow @ jump, B, energy @ jump, D, joint.period)

@@ -1,0 +1,239 @@
+"""Exact test of a port without sub-intervals and without a frequency grid.
+
+``Re G >= level`` on the whole unit circle means that ``integral(-tau w - level w^2)`` is positive for every
+motion of the link. The stationary motions of that form obey a Hamiltonian system between ticks; over one period
+
+    Y(h) = A Y(0) - G y(h),     y(0) = H Y(0) + A' y(h)         (y: co-state)
+
+and with the jump J at the ticks this is the symplectic pencil of a discrete Riccati equation with matrices
+``(A J, G, J' H J)``. Its eigenvalues on the unit circle are the frequencies at which the form is singular. Where
+the Riccati equation has its stabilising solution P, P is a storage function and the form is positive at all
+frequencies (discrete KYP lemma, after the lifting of Bamieh and Pearson, 1992).
+
+The matrices of one period come from a short step by doubling, which stays bounded however stiff the
+transmission is; the exponential of the Hamiltonian would overflow. So does the Riccati equation's solution
+(structure-preserving doubling, Chu, Fan, Lin and Wang, 2004).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigvals, expm
+from scipy.linalg.lapack import dgeev, dgesv
+
+from dashpot.certify.joint import SampledJoint
+from dashpot.sampled import Floats
+
+CIRCLE = 1e-6  # distance from the unit circle within which an eigenvalue may lie on it
+SHORT = 1.2  # fastest eigenvalue times the first step: below pi/2 there is no conjugate point in it
+DOUBLINGS = 40
+RESIDUAL = 1e-6  # of the Riccati equation, relative
+
+
+@dataclass(frozen=True)
+class Form:
+    """The quadratic form over one period as a discrete Riccati problem, in scaled units.
+
+    Attributes:
+        A: A J, (n, n).
+        G: (n, n), positive semidefinite.
+        Q: J' H J, (n, n).
+    """
+
+    A: Floats
+    G: Floats
+    Q: Floats
+
+
+def _solve(a: Floats, b: Floats) -> Floats:
+    """`numpy.linalg.solve` without its overhead, which is most of the time at this size."""
+    return np.asarray(dgesv(a, b)[2])
+
+
+def _eigenvalues(a: Floats) -> tuple[Floats, Floats]:
+    """Real and imaginary parts."""
+    real, imaginary, *_ = dgeev(a, compute_vl=0, compute_vr=0)
+    return real, imaginary
+
+
+def scaled(joint: SampledJoint) -> tuple[Floats, Floats, Floats, Floats]:
+    """Flow, velocity input, torque row and jump in the joint's own units."""
+    n, units = len(joint.flow), joint.units
+    return (
+        joint.flow * units[:n] / units[:n, None],
+        joint.velocity_in / units[:n],
+        joint.torque * units[:n],
+        joint.jump * units / units[:, None],
+    )
+
+
+def held(joint: SampledJoint) -> Floats:
+    """Transition over one period, from tick to tick, with the link held; (size, size), scaled."""
+    F, _, _, jump = scaled(joint)
+    flow = np.eye(len(jump))
+    flow[: len(F), : len(F)] = expm(F * joint.period)
+    return np.asarray(flow @ jump)
+
+
+@dataclass(frozen=True)
+class Rest:
+    """The joint with its link held: its stability, and the equilibria a position loop gives it.
+
+    Attributes:
+        radius: Largest modulus of an eigenvalue other than that of the equilibria.
+        shape: Equilibrium with the link displaced, (size,), scaled; None without a position loop.
+        momentum: What it is conjugate to, (size,), scaled.
+        stiffness: Of the position loop at rest, seen from the link [N m/rad].
+    """
+
+    radius: float
+    shape: Floats | None = None
+    momentum: Floats | None = None
+    stiffness: float = 0.0
+
+
+def at_rest(joint: SampledJoint) -> Rest:
+    """Analyses the joint with its link held."""
+    A = held(joint)
+    values = np.sort(np.abs(np.linalg.eigvals(A)))
+    if joint.position is None:
+        return Rest(float(values[-1]))
+    values = np.linalg.eigvals(A)
+    at_one = int(np.abs(values - 1).argmin())
+    if abs(values[at_one] - 1) > 1e-6:
+        return Rest(float(np.abs(values).max()))
+    rest = float(np.abs(np.delete(values, at_one)).max())
+    left, sizes, right = np.linalg.svd(A - np.eye(len(A)))
+    if sizes[-2] < 1e-12 * sizes[0]:
+        return Rest(np.inf)
+    shape, momentum = right[-1], left[:, -1]
+    F, b, t, jump = scaled(joint)
+    after = (jump @ shape)[: len(F)]
+    link = shape[joint.position] - shape[0]
+    torque = float(t @ after)
+    slope = float(b @ momentum[: len(F)])
+    if link == 0 or slope == 0:
+        return Rest(np.inf)
+    power = joint.units[len(F) - 1]
+    return Rest(rest, shape, momentum * torque / (power * slope), -torque / (link * joint.period))
+
+
+def quadratic_form(joint: SampledJoint, level: float, rest: Rest, loss: Floats | None = None) -> Form | None:
+    """The form ``integral(-tau w - level w^2)`` over one period, without the equilibria.
+
+    Args:
+        joint: The sampled joint.
+        level: [N m s/rad], below the transmission's damping.
+        rest: Of the same joint.
+        loss: Power to be subtracted as well, ``Y' loss Y`` of the continuous states, (n, n).
+
+    Returns:
+        None where the form is not even positive within one period from rest.
+    """
+    n = len(joint.flow)
+    F, b, t, jump = scaled(joint)
+    power = joint.units[n - 1]  # torque unit times a velocity of 1
+    t = t / power
+    weight = 2 * (-joint.torque_w - level) / power
+    if not weight > 0:
+        return None
+    hamiltonian = np.empty((2 * n, 2 * n))
+    hamiltonian[:n, :n] = F + np.outer(b, t) / weight
+    hamiltonian[n:, n:] = -hamiltonian[:n, :n].T
+    hamiltonian[:n, n:] = -np.outer(b, b) / weight
+    hamiltonian[n:, :n] = np.outer(t, t) / weight
+    if loss is not None:
+        hamiltonian[n:, :n] += 2 * loss * np.outer(joint.units[:n], joint.units[:n]) / power
+    if not np.isfinite(hamiltonian).all():
+        return None
+    period = _over(hamiltonian, joint.period)
+    if period is None:
+        return None
+    size = len(jump)
+    A, G, H = np.eye(size), np.zeros((size, size)), np.zeros((size, size))
+    A[:n, :n], G[:n, :n], H[:n, :n] = period
+    form = Form(A @ jump, G, jump.T @ H @ jump)
+    return form if rest.shape is None else _without_equilibria(form, rest)
+
+
+def _over(hamiltonian: Floats, time: float) -> tuple[Floats, Floats, Floats] | None:
+    """(A, G, H) over a time; None at a conjugate point."""
+    n = len(hamiltonian) // 2
+    fastest = float(np.hypot(*_eigenvalues(hamiltonian)).max()) * time
+    halvings = max(0, int(np.ceil(np.log2(fastest / SHORT)))) if fastest > 0 else 0
+    short = expm(hamiltonian * (time / 2.0**halvings))
+    inverse = np.linalg.inv(short[n:, n:])
+    A, G, H = inverse.T, -short[:n, n:] @ inverse, -inverse @ short[n:, :n]
+    for _ in range(halvings):
+        inner = np.eye(n) + G @ H
+        if not _eigenvalues(inner)[0].min() > 0:
+            return None
+        both = _solve(inner, np.concatenate([A, G], 1))
+        G, H = G + A @ both[:, n:] @ A.T, H + A.T @ H @ both[:, :n]
+        G, H, A = (G + G.T) / 2, (H + H.T) / 2, A @ both[:, :n]
+    return A, G, H
+
+
+def _without_equilibria(form: Form, rest: Rest) -> Form | None:
+    """Takes the pole at z = 1 out: a displaced link at rest neither stores nor gives out energy here.
+
+    The co-state is shifted by X Y with X symmetric and X shape = momentum: that adds a stored energy, which
+    does not change the form, after which it no longer depends on the displacement. That direction is dropped.
+    """
+    r, psi = rest.shape, rest.momentum
+    assert r is not None
+    assert psi is not None
+    rr = r @ r
+    X = (np.outer(psi, r) + np.outer(r, psi)) / rr - np.outer(r, r) * (psi @ r) / rr**2
+    A, G = form.A, form.G
+    inner = np.eye(len(A)) + G @ X
+    both = _solve(inner, np.concatenate([A, G], 1))
+    new_A, new_G = both[:, : len(A)], both[:, len(A) :]
+    new_Q = form.Q - X + A.T @ X @ new_A
+    scale = np.abs(new_Q).max(initial=1.0) * np.sqrt(rr)
+    if np.abs(new_A @ r - r).max() > 1e-6 * np.sqrt(rr) or np.abs(new_Q @ r).max() > 1e-6 * scale:
+        return None
+    rest_of = np.linalg.svd(r[None])[2][1:]  # orthonormal complement of r
+    return Form(rest_of @ new_A @ rest_of.T, rest_of @ new_G @ rest_of.T, rest_of @ new_Q @ rest_of.T)
+
+
+def crossings(form: Form) -> Floats:
+    """Angles in [0, pi] [rad per period] at which the form is singular."""
+    n = len(form.A)
+    left, right = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
+    left[:n, :n], left[n:, :n], left[n:, n:] = form.A, -form.Q, np.eye(n)
+    right[:n, :n], right[:n, n:], right[n:, n:] = np.eye(n), form.G, form.A.T
+    with np.errstate(all="ignore"):
+        z = eigvals(left, right)
+    z = z[np.isfinite(z)]
+    return np.unique(np.abs(np.angle(z[np.abs(np.abs(z) - 1) < CIRCLE])))
+
+
+def storage(form: Form) -> Floats | None:
+    """The stabilising solution P of ``P = Q + A' P (I + G P)^-1 A``, or None where there is none.
+
+    P is checked after the fact: residual, ``I + G P`` with positive eigenvalues, closed loop stable.
+    """
+    A, G, P = form.A, form.G, form.Q
+    n = len(A)
+    eye = np.eye(n)
+    for _ in range(DOUBLINGS):
+        both = _solve(eye + G @ P, np.concatenate([A, G], 1))
+        step = A.T @ P @ both[:, :n]
+        G, P, A = G + A @ both[:, n:] @ A.T, P + step, A @ both[:, :n]
+        G, P = (G + G.T) * 0.5, (P + P.T) * 0.5
+        size = float(np.abs(P).max())
+        if not size < 1e30:
+            return None
+        if float(np.abs(step).max()) <= 1e-14 * size:
+            break
+    inner = eye + form.G @ P
+    if not _eigenvalues(inner)[0].min() > 0:
+        return None
+    closed = _solve(inner, form.A)
+    residual = P - form.Q - form.A.T @ P @ closed
+    if np.abs(residual).max() > RESIDUAL * max(np.abs(P).max(), np.abs(form.Q).max()):
+        return None
+    return P if np.hypot(*_eigenvalues(closed)).max() < 1 - CIRCLE else None

@@ -120,14 +120,27 @@ def at_rest(joint: SampledJoint) -> Rest:
     return Rest(rest, shape, momentum * torque / (power * slope), -torque / (link * joint.period))
 
 
-def quadratic_form(joint: SampledJoint, level: float, rest: Rest, loss: Floats | None = None) -> Form | None:
+@dataclass(frozen=True)
+class Loss:
+    """Power to be subtracted from a form, ``(row Y + row_w w)^2``.
+
+    Attributes:
+        row: (n,) for the states that move between ticks.
+        row_w: For the link velocity.
+    """
+
+    row: Floats
+    row_w: float
+
+
+def quadratic_form(joint: SampledJoint, level: float, rest: Rest, loss: Loss | None = None) -> Form | None:
     """The form ``integral(-tau w - level w^2)`` over one period, without the equilibria.
 
     Args:
         joint: The sampled joint.
         level: [N m s/rad], below the transmission's damping.
         rest: Of the same joint.
-        loss: Power to be subtracted as well, ``Y' loss Y`` of the continuous states, (n, n).
+        loss: Power to be subtracted as well.
 
     Returns:
         None where the form is not even positive within one period from rest.
@@ -135,17 +148,20 @@ def quadratic_form(joint: SampledJoint, level: float, rest: Rest, loss: Floats |
     n = len(joint.flow)
     F, b, t, jump = scaled(joint)
     power = joint.units[n - 1]  # torque unit times a velocity of 1
-    t = t / power
-    weight = 2 * (-joint.torque_w - level) / power
+    # Lagrangian 1/2 (weight w^2 + 2 w cross Y + Y' states Y), w eliminated.
+    weight, cross, states = 2 * (-joint.torque_w - level) / power, -t / power, np.zeros((n, n))
+    if loss is not None:
+        row = loss.row * joint.units[:n]
+        weight -= 2 * loss.row_w**2 / power
+        cross = cross - 2 * loss.row_w * row / power
+        states = -2 * np.outer(row, row) / power
     if not weight > 0:
         return None
     hamiltonian = np.empty((2 * n, 2 * n))
-    hamiltonian[:n, :n] = F + np.outer(b, t) / weight
+    hamiltonian[:n, :n] = F - np.outer(b, cross) / weight
     hamiltonian[n:, n:] = -hamiltonian[:n, :n].T
     hamiltonian[:n, n:] = -np.outer(b, b) / weight
-    hamiltonian[n:, :n] = np.outer(t, t) / weight
-    if loss is not None:
-        hamiltonian[n:, :n] += 2 * loss * np.outer(joint.units[:n], joint.units[:n]) / power
+    hamiltonian[n:, :n] = np.outer(cross, cross) / weight - states
     if not np.isfinite(hamiltonian).all():
         return None
     period = _over(hamiltonian, joint.period)

@@ -114,7 +114,7 @@ def _closest_level(
     joint: SampledJoint, rest: Rest, upper: float, angle: float, coarse: Port
 ) -> tuple[float, Floats]:
     """Largest level without crossings, from below; and the crossings just above it."""
-    ceiling = -joint.torque_w
+    ceiling = -joint.torque_w * (1 - RESOLUTION)
     scale = abs(joint.torque_w) + 1e-9 * float(joint.units[len(joint.flow) - 1])
 
     def crossed(level: float) -> Floats | None:

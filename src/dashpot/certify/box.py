@@ -1,0 +1,314 @@
+"""A joint's port over a whole box of drive parameters: proven between the corners, not only at them.
+
+Let the rotor's motion be given. Then motor torque u and transmitted torque ``tau = u - (m s + v) q_r'`` do not
+depend on the transmission and are affine in (m, v, beta), beta the scale of the position loop. The energy that
+flows in at the port is
+
+    E = E_D(tau) + v |q_r'|^2 - <u, q_r'>,       D(w) = c w^2 / (k^2 + c^2 w^2),
+
+E_D the transmission's dissipation. Hence, for E to be positive over the box
+
+- transmission: D falls with k, and as a function of c is smallest at an end. ``k' = k_max sqrt(c_max/c_min)``,
+  ``c' = c_max`` dissipate at most as much as any (k, c) of the box, at every frequency;
+- (m, v, beta): E is affine but for the convex E_D. Its tangent at the centre of the box lies below it and is
+  affine, so it is smallest at a corner; there it is ``E - E_D(tau - tau_0)`` with tau_0 the torque at the centre
+  for the same rotor motion. A shadow of the controller gives that difference;
+- torque scale alpha: with tau given instead, u is affine in alpha, and so is E: the ends suffice;
+- latency: each value by itself.
+
+Each corner is one exact test (`dashpot.certify.exact`). The tangent's error falls with the square of the box:
+where a corner fails the box is cut in two.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dashpot.certify.exact import Loss, at_rest, crossings, quadratic_form, storage
+from dashpot.certify.index import Index, passivity_index, unfit
+from dashpot.certify.joint import DEFLECTION, SPEED, SampledJoint, Scales, sampled_joint, uses
+from dashpot.drive import Drive
+from dashpot.sampled import POSITION, VELOCITY
+
+MOST_CELLS = 128
+INSIDE = 64  # points tried inside the box
+FINER = 1e-3  # relative step by which the search for the worst point goes down
+POINTS = ("rotor_inertia", "viscous_friction", "stiffness", "damping", "torque_gain", "position_gain", "latency")
+"""Coordinates of a point of the box."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """Ranges of what is uncertain about a joint, {coordinate: (lowest, highest)}; see `POINTS`.
+
+    Attributes:
+        ranges: SI units; latency in samples.
+    """
+
+    ranges: Mapping[str, tuple[float, float]]
+
+    @classmethod
+    def of(cls, drive: Drive, block: NDArray[np.void], latency_max: int | None = None) -> Box:
+        """The box a drive states: its `uncertainty`, its `torque_gain_error`, and the latency's range."""
+        ranges = {}
+        for name in POINTS[:4]:
+            value, half = getattr(drive, name), drive.uncertainty.get(name, 0.0)
+            ranges[name] = (value * (1 - half), value * (1 + half))
+        gain = (1 - drive.torque_gain_error, 1 + drive.torque_gain_error)
+        located = uses(block, POSITION) or uses(block, VELOCITY)
+        ranges["torque_gain"], ranges["position_gain"] = gain, gain if located else (1.0, 1.0)
+        latency = int(block["latency"])
+        ranges["latency"] = (latency, latency if latency_max is None else latency_max)
+        return cls(ranges)
+
+    @property
+    def centre(self) -> dict[str, float]:
+        """The middle."""
+        return {name: (low + high) / 2 for name, (low, high) in self.ranges.items()}
+
+    def corners(self, names: tuple[str, ...]) -> Iterator[dict[str, float]]:
+        """All combinations of ends of some coordinates."""
+        ends = [sorted(set(self.ranges[name])) for name in names]
+        for values in itertools.product(*ends):
+            yield dict(zip(names, values, strict=True))
+
+    def halves(self) -> tuple[Box, Box]:
+        """Cut across the coordinate that is relatively widest."""
+
+        def width(name: str) -> float:
+            low, high = self.ranges[name]
+            return (high - low) / (high + low) if high > low else 0.0
+
+        name = max(("rotor_inertia", "viscous_friction", "damping", "position_gain"), key=width)
+        low, high = self.ranges[name]
+        middle = (low + high) / 2
+        return Box({**self.ranges, name: (low, middle)}), Box({**self.ranges, name: (middle, high)})
+
+
+@dataclass(frozen=True)
+class BoxCertificate:
+    """What holds over the whole box.
+
+    Attributes:
+        proven: Whether the port is passive at every point of the box.
+        worst: Index at the worst point found.
+        point: That point.
+        cells: Pieces of the box that were needed for the proof.
+        reason: In words, where it is not proven.
+    """
+
+    proven: bool
+    worst: Index
+    point: Mapping[str, float]
+    cells: int
+    reason: str = ""
+
+
+def at(drive: Drive, point: Mapping[str, float]) -> tuple[Drive, Scales]:
+    """Drive and signal path at a point of the box."""
+    changes = {name: point[name] for name in POINTS[:4] if name in point}
+    scales = Scales(point["torque_gain"], point["position_gain"], int(point["latency"]))
+    return replace(drive, **changes, uncertainty={}), scales
+
+
+def certify_box(
+    drive: Drive, block: NDArray[np.void], sampling: str, period: float, latency_max: int | None = None
+) -> BoxCertificate:
+    """Certifies a joint over the box of its drive's uncertainty.
+
+    Args:
+        drive: The drive with `uncertainty` and `torque_gain_error`.
+        block: A record of `dashpot.sampled.BLOCK_DTYPE`.
+        sampling: "average" or "point".
+        period: [s].
+        latency_max: Longest latency [samples]; None: that of the block.
+
+    Raises:
+        InputError: The sensor's latency is not a whole number of samples.
+    """
+    box = Box.of(drive, block, latency_max)
+    point, worst = worst_point(box, drive, block, sampling, period)
+    if not worst.passive:
+        return BoxCertificate(False, worst, point, 0, worst.reason)
+    waiting, cells = [box], 0
+    while waiting:
+        cells += 1
+        cell = waiting.pop()
+        if _proven(cell, drive, block, sampling, period):
+            continue
+        if cells + len(waiting) >= MOST_CELLS:
+            reason = f"no point of the box was found to fail, but {MOST_CELLS} pieces do not prove it"
+            return BoxCertificate(False, worst, point, cells, reason)
+        waiting += cell.halves()
+    return BoxCertificate(True, worst, point, cells)
+
+
+def worst_point(
+    box: Box, drive: Drive, block: NDArray[np.void], sampling: str, period: float
+) -> tuple[dict[str, float], Index]:
+    """Searches the box for its smallest index: all corners, then coordinate by coordinate from the worst.
+
+    One exact test tells whether a point lies below the smallest index so far; only then is it computed.
+    """
+
+    def index(point: Mapping[str, float]) -> Index:
+        there, scales = at(drive, point)
+        return passivity_index(there, block, sampling, period, scales)
+
+    def below(point: Mapping[str, float], level: float) -> bool:
+        there, scales = at(drive, point)
+        joint = sampled_joint(there, block, sampling, period, scales)
+        rest = at_rest(joint)
+        form = None if unfit(rest) else quadratic_form(joint, level - there.link_friction, rest)
+        return form is None or len(crossings(form)) > 0
+
+    point = box.centre | {"latency": float(block["latency"])}
+    worst = index(point)
+
+    def lowered(trial: dict[str, float]) -> bool:
+        nonlocal point, worst
+        if not np.isfinite(worst.value) or not below(trial, worst.value - FINER * abs(worst.value)):
+            return False
+        found = index(trial)
+        if not found.value < worst.value:
+            return False
+        point, worst = trial, found
+        return True
+
+    for trial in itertools.chain(box.corners(POINTS), _inside(box)):
+        lowered(trial)
+    step = 0.5
+    while step > 0.03:
+        moved = False
+        for name in POINTS[:6]:
+            low, high = box.ranges[name]
+            for direction in (-step, step) if high > low else ():
+                trial = dict(point)
+                trial[name] = float(np.clip(point[name] + direction * (high - low), low, high))
+                moved |= trial[name] != point[name] and lowered(trial)
+        step = step if moved else step / 2
+    return point, worst
+
+
+def _inside(box: Box) -> Iterator[dict[str, float]]:
+    """Points between the corners, evenly spread (Kronecker sequence); the transmission stays at its ends."""
+    inner = ("rotor_inertia", "viscous_friction", "torque_gain", "position_gain")
+    if all(low == high for low, high in (box.ranges[name] for name in inner)):
+        return
+    ends = list(box.corners(("stiffness", "damping", "latency")))
+    steps = 1 / 1.1673039782614187 ** np.arange(1, 5)  # root of x^5 = x + 1
+    for i in range(INSIDE):
+        between = (0.5 + i * steps) % 1
+        point = dict(ends[i % len(ends)])
+        for name, share in zip(inner, between, strict=True):
+            low, high = box.ranges[name]
+            point[name] = float(low + share * (high - low))
+        yield {name: point[name] for name in POINTS}
+
+
+def _proven(cell: Box, drive: Drive, block: NDArray[np.void], sampling: str, period: float) -> bool:
+    """Whether every corner of a cell passes the exact test of its tangent."""
+    (_, k), (c_low, c_high) = cell.ranges["stiffness"], cell.ranges["damping"]
+    if not c_low > 0:
+        return False
+    drive = replace(drive, stiffness=k * np.sqrt(c_high / c_low), damping=c_high)
+    centre = cell.centre
+    names = ("rotor_inertia", "viscous_friction", "torque_gain", "position_gain", "latency")
+    latencies = range(int(cell.ranges["latency"][0]), int(cell.ranges["latency"][1]) + 1)
+    for latency in latencies:
+        # Stability with the link held is shown at one point; no eigenvalue can then leave the unit circle
+        # anywhere in the box, because the form would be singular there.
+        one = Box({**cell.ranges, "latency": (latency, latency)})
+        for corner in one.corners(names):
+            there, scales = at(drive, corner)
+            joint = sampled_joint(there, block, sampling, period, scales)
+            if joint.speed_in_sample:
+                return False
+            joint, loss = with_shadow(
+                joint,
+                there,
+                corner["rotor_inertia"] - centre["rotor_inertia"],
+                corner["viscous_friction"] - centre["viscous_friction"],
+                1 - centre["position_gain"] / corner["position_gain"],
+            )
+            rest = at_rest(joint)
+            if unfit(rest):
+                return False
+            form = quadratic_form(joint, 0.0, rest, loss)
+            if form is None or storage(form) is None:
+                return False
+    return True
+
+
+def with_shadow(
+    joint: SampledJoint, drive: Drive, inertia: float, friction: float, position: float
+) -> tuple[SampledJoint, Loss | None]:
+    """Adds what a change of rotor and position loop does to the transmitted torque for the same rotor motion.
+
+    Args:
+        joint: The joint, its torque sampled as an average or behind a filter.
+        drive: Its drive.
+        inertia: Change of the rotor inertia [kg m^2].
+        friction: Change of the viscous friction [N m s/rad].
+        position: Change of the position loop's scale, relative.
+
+    Returns:
+        The joint with the shadow's states, and the transmission's dissipation of the difference in torque.
+    """
+    if inertia == friction == position == 0:
+        return joint, None
+    k, c = drive.stiffness, drive.damping
+    n, size = len(joint.flow), len(joint.jump)
+    motion = [SPEED] if joint.position is None else [SPEED, joint.position]
+    own = [i for i in range(n) if i not in (DEFLECTION, *motion)]  # filter, average, torque in effect
+    rest = list(range(n, size))
+    # New order: joint's moving states, shadow's deflection and own, joint's tick states, shadow's.
+    shadow = [n, *range(n + 1, n + 1 + len(own))]
+    moving = n + len(shadow)
+    kept = list(range(moving, moving + len(rest)))
+    shadow_rest = list(range(moving + len(rest), moving + 2 * len(rest)))
+    total = moving + 2 * len(rest)
+    place = np.empty(size, int)  # where the joint's states go
+    place[:n], place[rest] = np.arange(n), kept
+    twin = np.full(size, -1)  # where the shadow of a state goes; motion is shared
+    twin[DEFLECTION], twin[own], twin[rest] = shadow[0], shadow[1:], shadow_rest
+
+    flow, velocity = np.zeros((moving, moving)), np.zeros(moving)
+    flow[:n, :n], velocity[:n] = joint.flow, joint.velocity_in
+    torque, torque_w = np.zeros(moving), -inertia * joint.velocity_in[SPEED]  # difference of the torque
+    torque[:n] = -inertia * joint.flow[SPEED]
+    torque[SPEED] -= friction
+    torque[shadow[-1]] += 1.0
+    rate, rate_w = torque / c, torque_w / c  # of the shadow's deflection
+    rate[shadow[0]] -= k / c
+    flow[shadow[0]], velocity[shadow[0]] = rate, rate_w
+    for i in own:
+        heard = joint.flow[i, DEFLECTION] / k  # how it hears the torque
+        flow[twin[i], twin[own]] = joint.flow[i, own]
+        flow[twin[i]] += heard * torque
+        velocity[twin[i]] = heard * torque_w
+
+    jump = np.zeros((total, total))
+    jump[np.ix_(place, place)] = joint.jump
+    jump[shadow[0], shadow[0]] = 1.0
+    for i in [*own, *rest]:
+        for j in range(size):
+            if j in motion:
+                jump[twin[i], place[j]] += position * joint.jump[i, j]
+            elif j != DEFLECTION:
+                jump[twin[i], twin[j]] += joint.jump[i, j]
+    units = np.empty(total)
+    units[place] = joint.units
+    units[twin[twin >= 0]] = joint.units[twin >= 0]
+    wide = np.zeros(moving)
+    wide[:n] = joint.torque
+    loss = Loss(np.sqrt(c) * rate, np.sqrt(c) * rate_w)
+    return (
+        replace(joint, flow=flow, velocity_in=velocity, torque=wide, jump=jump, units=units),
+        loss,
+    )

@@ -74,6 +74,7 @@ class ControllerConfig:
         joints: Gains, one per controlled joint; the others stay under the robot's own position loop.
         period: Sample period [s].
         latency: Whole samples from computing a torque to its taking effect.
+        latency_max: The longest it may be, for the certificate; None: `latency`.
         sampling: "average": mean torque over the last period; "point": the latest value.
         form: "explicit" or "implicit" discretisation of Eqs. (20)-(21).
         blend: Time constant over which a change of mode is faded in [s]; 0: at once.
@@ -83,6 +84,7 @@ class ControllerConfig:
     joints: tuple[JointGains, ...]
     period: float = number("s", 1e-5, 1.0, typical=(1e-4, 0.02))
     latency: int = 0
+    latency_max: int | None = None
     sampling: Sampling = "average"
     form: Form = "implicit"
     blend: float = number("s", 0, 10, default=0.02)
@@ -96,6 +98,14 @@ class ControllerConfig:
                 file=self.file,
                 quantity="latency",
                 value=self.latency,
+            )
+        longest = self.latency if self.latency_max is None else self.latency_max
+        if type(longest) is not int or not self.latency <= longest <= _native.MAX_LATENCY:
+            raise InputError(
+                f"must be a whole number of samples, latency ({self.latency}) to {_native.MAX_LATENCY}",
+                file=self.file,
+                quantity="latency_max",
+                value=self.latency_max,
             )
         for key, value, valid in (("sampling", self.sampling, Sampling), ("form", self.form, Form)):
             if value not in get_args(valid):
@@ -118,7 +128,10 @@ class ControllerConfig:
         path = Path(path)
         table = read_toml(path)
         check_keys(
-            table, {"period", "latency", "sampling", "form", "blend", "joint"}, {"period", "joint"}, file=path
+            table,
+            {"period", "latency", "latency_max", "sampling", "form", "blend", "joint"},
+            {"period", "joint"},
+            file=path,
         )
         entries = table.pop("joint")
         if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):

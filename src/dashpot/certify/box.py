@@ -1,18 +1,19 @@
 """A joint's port over a whole box of drive parameters: proven between the corners, not only at them.
 
-Let the rotor's motion be given. Then motor torque u and transmitted torque ``tau = u - (m s + v) q_r'`` do not
-depend on the transmission and are affine in (m, v, beta), beta the scale of the position loop. The energy that
-flows in at the port is
+Let the rotor's motion be given. Then motor torque u and transmitted torque ``tau = u - (m s + v) q_r'`` do
+not depend on the transmission and are affine in (m, v, beta), beta the scale of the position loop. The energy
+that flows in at the port is
 
     E = E_D(tau) + v |q_r'|^2 - <u, q_r'>,       D(w) = c w^2 / (k^2 + c^2 w^2),
 
 E_D the transmission's dissipation. Hence, for E to be positive over the box
 
-- transmission: D falls with k, and as a function of c is smallest at an end. ``k' = k_max sqrt(c_max/c_min)``,
-  ``c' = c_max`` dissipate at most as much as any (k, c) of the box, at every frequency;
+- transmission: D falls with k, and as a function of c is smallest at an end. A transmission with
+  ``k' = k_max sqrt(c_max/c_min)``, ``c' = c_max`` dissipates at most as much as any of the box, at every
+  frequency;
 - (m, v, beta): E is affine but for the convex E_D. Its tangent at the centre of the box lies below it and is
-  affine, so it is smallest at a corner; there it is ``E - E_D(tau - tau_0)`` with tau_0 the torque at the centre
-  for the same rotor motion. A shadow of the controller gives that difference;
+  affine, so it is smallest at a corner; there it is ``E - E_D(tau - tau_0)`` with tau_0 the torque at the
+  centre for the same rotor motion. A shadow of the controller gives that difference;
 - torque scale alpha: with tau given instead, u is affine in alpha, and so is E: the ends suffice;
 - latency: each value by itself.
 
@@ -25,6 +26,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +40,8 @@ from dashpot.sampled import POSITION, VELOCITY
 MOST_CELLS = 128
 INSIDE = 64  # points tried inside the box
 FINER = 1e-3  # relative step by which the search for the worst point goes down
-POINTS = ("rotor_inertia", "viscous_friction", "stiffness", "damping", "torque_gain", "position_gain", "latency")
+DRIVE = ("rotor_inertia", "viscous_friction", "stiffness", "damping")
+POINTS = (*DRIVE, "torque_gain", "position_gain", "latency")
 """Coordinates of a point of the box."""
 
 
@@ -55,8 +58,8 @@ class Box:
     @classmethod
     def of(cls, drive: Drive, block: NDArray[np.void], latency_max: int | None = None) -> Box:
         """The box a drive states: its `uncertainty`, its `torque_gain_error`, and the latency's range."""
-        ranges = {}
-        for name in POINTS[:4]:
+        ranges: dict[str, tuple[float, float]] = {}
+        for name in DRIVE:
             value, half = getattr(drive, name), drive.uncertainty.get(name, 0.0)
             ranges[name] = (value * (1 - half), value * (1 + half))
         gain = (1 - drive.torque_gain_error, 1 + drive.torque_gain_error)
@@ -111,9 +114,9 @@ class BoxCertificate:
 
 def at(drive: Drive, point: Mapping[str, float]) -> tuple[Drive, Scales]:
     """Drive and signal path at a point of the box."""
-    changes = {name: point[name] for name in POINTS[:4] if name in point}
+    changes: dict[str, Any] = {name: point[name] for name in DRIVE if name in point}
     scales = Scales(point["torque_gain"], point["position_gain"], int(point["latency"]))
-    return replace(drive, **changes, uncertainty={}), scales
+    return replace(drive, uncertainty={}, **changes), scales
 
 
 def certify_box(

@@ -67,7 +67,9 @@ def counterexample(joint: SampledJoint, drive: Drive) -> Counterexample | None:
     mass, length = (grid.ravel() for grid in np.meshgrid(MASSES, LENGTHS))
     heavy = mass * length**2 >= least
     pendulums = [Load.pendulum(*pair) for pair in zip(mass[heavy], length[heavy], strict=True)]
-    inertia, stiffness = (np.array([getattr(load, key) for load in pendulums]) for key in ("inertia", "stiffness"))
+    inertia, stiffness = (
+        np.array([getattr(load, key) for load in pendulums]) for key in ("inertia", "stiffness")
+    )
     found = _worst(joint, inertia, stiffness, friction)
     if found is not None:
         return _named(joint, "pendulum", *found, friction)
@@ -77,7 +79,7 @@ def counterexample(joint: SampledJoint, drive: Drive) -> Counterexample | None:
     best = np.argsort(rates)[::-1][:STARTS]
     tried = [_steeper(joint, (inertia[i], stiffness[i]), least, friction, spring=True) for i in best]
     for pair in tried:
-        if radii(joint, *(np.array([value]) for value in pair), friction)[0] > 1 + GROWS:
+        if radii(joint, np.array([pair[0]]), np.array([pair[1]]), friction)[0] > 1 + GROWS:
             return _named(joint, "inertia and spring", *pair, friction)
     return None
 

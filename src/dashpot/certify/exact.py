@@ -1,14 +1,14 @@
 """Exact test of a port without sub-intervals and without a frequency grid.
 
 ``Re G >= level`` on the whole unit circle means that ``integral(-tau w - level w^2)`` is positive for every
-motion of the link. The stationary motions of that form obey a Hamiltonian system between ticks; over one period
+motion of the link. The stationary motions of that form obey a Hamiltonian system between ticks; over a period
 
     Y(h) = A Y(0) - G y(h),     y(0) = H Y(0) + A' y(h)         (y: co-state)
 
 and with the jump J at the ticks this is the symplectic pencil of a discrete Riccati equation with matrices
-``(A J, G, J' H J)``. Its eigenvalues on the unit circle are the frequencies at which the form is singular. Where
-the Riccati equation has its stabilising solution P, P is a storage function and the form is positive at all
-frequencies (discrete KYP lemma, after the lifting of Bamieh and Pearson, 1992).
+``(A J, G, J' H J)``. Its eigenvalues on the unit circle are the frequencies at which the form is singular.
+Where the Riccati equation has its stabilising solution P, P is a storage function and the form is positive at
+all frequencies (discrete KYP lemma, after the lifting of Bamieh and Pearson, 1992).
 
 The matrices of one period come from a short step by doubling, which stays bounded however stiff the
 transmission is; the exponential of the Hamiltonian would overflow. So does the Riccati equation's solution
@@ -20,10 +20,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigvals, expm
-from scipy.linalg.lapack import dgeev, dgesv
+from scipy.linalg import expm
+from scipy.linalg.lapack import dgeev, dgesv, dggev
 
-from dashpot.certify.joint import SampledJoint
+from dashpot.certify.joint import SampledJoint, scaled
 from dashpot.sampled import Floats
 
 CIRCLE = 1e-6  # distance from the unit circle within which an eigenvalue may lie on it
@@ -56,17 +56,6 @@ def _eigenvalues(a: Floats) -> tuple[Floats, Floats]:
     """Real and imaginary parts."""
     real, imaginary, *_ = dgeev(a, compute_vl=0, compute_vr=0)
     return real, imaginary
-
-
-def scaled(joint: SampledJoint) -> tuple[Floats, Floats, Floats, Floats]:
-    """Flow, velocity input, torque row and jump in the joint's own units."""
-    n, units = len(joint.flow), joint.units
-    return (
-        joint.flow * units[:n] / units[:n, None],
-        joint.velocity_in / units[:n],
-        joint.torque * units[:n],
-        joint.jump * units / units[:, None],
-    )
 
 
 def held(joint: SampledJoint) -> Floats:
@@ -221,10 +210,10 @@ def crossings(form: Form) -> Floats:
     left, right = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
     left[:n, :n], left[n:, :n], left[n:, n:] = form.A, -form.Q, np.eye(n)
     right[:n, :n], right[:n, n:], right[n:, n:] = np.eye(n), form.G, form.A.T
-    with np.errstate(all="ignore"):
-        z = eigvals(left, right)
-    z = z[np.isfinite(z)]
-    return np.unique(np.abs(np.angle(z[np.abs(np.abs(z) - 1) < CIRCLE])))
+    real, imaginary, beta, *_ = dggev(left, right, compute_vl=0, compute_vr=0)
+    # |alpha| = |beta| on the circle; infinite eigenvalues have beta = 0.
+    on_circle = np.abs(np.hypot(real, imaginary) - np.abs(beta)) < CIRCLE * np.abs(beta)
+    return np.unique(np.abs(np.arctan2(imaginary[on_circle], real[on_circle] * np.sign(beta[on_circle]))))
 
 
 def storage(form: Form) -> Floats | None:

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dashpot.certify.exact import crossings, quadratic_form, storage
+from dashpot.certify.exact import Rest, at_rest, crossings, quadratic_form, storage
 from dashpot.certify.joint import SampledJoint, Scales, sampled_joint
-from dashpot.certify.exact import Rest, at_rest
 from dashpot.certify.port import Port, lift
 from dashpot.drive import Drive
 from dashpot.sampled import Floats
@@ -20,8 +19,8 @@ RESOLUTION = 5e-4  # of the index, relative
 STABLE = 1e-9  # distance of the held joint's eigenvalues from the unit circle
 ROUNDS = 60
 SPEED_IN_SAMPLE = (
-    "point samples without a sensor filter also contain the link's velocity, times the transmission's damping, "
-    "which no finite index covers (the value leaves it out): average the torque over the period, or filter it"
+    "point samples without a sensor filter also contain the link's velocity, which no finite index covers "
+    "(the value leaves it out): average the torque over the period, or filter it"
 )
 GRID = np.concatenate([np.geomspace(1e-4, 0.08, 20), np.linspace(0.1, np.pi, 28)])
 
@@ -80,16 +79,17 @@ def passivity_index(
     reason = unfit(rest)
     if reason:
         return Index(-np.inf, 0.0, 0, 0.0, True, reason)
-    coarse = lift(joint, FIRST_INTERVALS)
+    ports = {N: lift(joint, N) for N in (FIRST_INTERVALS, 2 * FIRST_INTERVALS)}
+    coarse = ports[FIRST_INTERVALS]
     values = coarse.least_damping(GRID)
     at = int(values.argmin())
     near = np.linspace(GRID[max(at - 1, 0)], GRID[min(at + 1, len(GRID) - 1)], 19)
     around = coarse.least_damping(near)
     upper, angle = float(around.min()), float(near[around.argmin()])
-    lowest, found = _closest_level(joint, rest, upper, angle, coarse)
+    lowest, found = _closest_level(joint, rest, upper, angle, ports)
     form = quadratic_form(joint, lowest, rest)
     proven = form is not None and storage(form) is not None
-    angle, intervals, remainder = _confirm(joint, lowest, angle, found)
+    angle, intervals, remainder = _confirm(joint, lowest, angle, found, ports)
     reason = "" if proven else "no storage function was found; the value is an upper bound"
     tolerance = 10 * RESOLUTION * max(abs(lowest), 1e-3 * drive.damping) + 1e-12 * joint.units[-1]
     if remainder < -tolerance:
@@ -111,7 +111,7 @@ def unfit(rest: Rest) -> str:
 
 
 def _closest_level(
-    joint: SampledJoint, rest: Rest, upper: float, angle: float, coarse: Port
+    joint: SampledJoint, rest: Rest, upper: float, angle: float, ports: dict[int, Port]
 ) -> tuple[float, Floats]:
     """Largest level without crossings, from below; and the crossings just above it."""
     ceiling = -joint.torque_w * (1 - RESOLUTION)
@@ -125,45 +125,46 @@ def _closest_level(
         return found if len(found) else None
 
     # The error of N intervals falls as 1/N^2.
-    finer = float(lift(joint, 2 * FIRST_INTERVALS).least_damping(np.array([angle]))[0])
+    finer = float(ports[2 * FIRST_INTERVALS].least_damping(np.array([angle]))[0])
     guess = min(finer - max(upper - finer, 0.0) / 3, upper, ceiling)
-    step = RESOLUTION * max(abs(guess), 1e-3 * scale)
-    high, above = np.inf, np.zeros(0)
-    low = guess - step
-    for _ in range(ROUNDS):
+    finest = RESOLUTION * max(abs(guess), 1e-3 * scale)
+    if guess >= ceiling:
+        above = crossed(ceiling)
+        if above is None:
+            return ceiling, np.zeros(0)
+        low, high, step = ceiling - finest, ceiling, finest
+    else:
+        low, high, step, above = guess - finest, np.inf, finest, np.zeros(0)
+    for _ in range(ROUNDS):  # down to a level without crossings
         found = crossed(low)
         if found is None:
             break
         high, above = low, found
         step *= 4
-        low = guess - step
-    step = RESOLUTION * max(abs(guess), 1e-3 * scale)
-    trial = low + 2 * step
-    for _ in range(ROUNDS):
-        if high - low <= 2 * RESOLUTION * max(abs(low), 1e-3 * scale):
+        low -= step
+    trial = low + 2 * finest
+    for _ in range(ROUNDS):  # and up again
+        if high - low <= 2 * RESOLUTION * max(abs(low), 1e-3 * scale) or trial >= ceiling:
             break
-        if not np.isfinite(high):
-            step *= 2
-            if trial >= ceiling:
-                break
-        else:
-            trial = (low + high) / 2
         found = crossed(trial)
         if found is None:
             low = trial
-            trial = min(low + 2 * step, ceiling)
         else:
             high, above = trial, found
+        finest *= 2
+        trial = (low + high) / 2 if np.isfinite(high) else low + 2 * finest
     return low, above
 
 
-def _confirm(joint: SampledJoint, level: float, angle: float, found: Floats) -> tuple[float, int, float]:
+def _confirm(
+    joint: SampledJoint, level: float, angle: float, found: Floats, ports: dict[int, Port]
+) -> tuple[float, int, float]:
     """Angle of the minimum, N at which a lifted port confirms the level, and what it is above it."""
     edges = np.concatenate([[0.0], found, [np.pi]])
     tried = np.clip(np.concatenate([[angle], found, (edges[1:] + edges[:-1]) / 2]), 1e-6, np.pi)
     intervals = FIRST_INTERVALS
     while True:
-        values = lift(joint, intervals).least_damping(tried)
+        values = (ports.get(intervals) or lift(joint, intervals)).least_damping(tried)
         best = int(values.argmin())
         remainder = float(values[best]) - level
         if remainder <= SETTLED * abs(level) or 2 * intervals > MOST_INTERVALS:

@@ -68,6 +68,17 @@ class SampledJoint:
     position: int | None
 
 
+def scaled(joint: SampledJoint) -> tuple[Floats, Floats, Floats, Floats]:
+    """Flow, velocity input, torque row and jump in the joint's own units."""
+    n, units = len(joint.flow), joint.units
+    return (
+        joint.flow * units[:n] / units[:n, None],
+        joint.velocity_in / units[:n],
+        joint.torque * units[:n],
+        joint.jump * units / units[:, None],
+    )
+
+
 def uses(block: NDArray[np.void], channel: int) -> bool:
     """Whether a block reads an input channel."""
     return bool(block["D"][channel] != 0 or np.any(block["B"][: int(block["nx"]), channel] != 0))
@@ -83,7 +94,7 @@ def sampled_joint(
     block: NDArray[np.void],
     sampling: Literal["average", "point"] | str,
     period: float,
-    scales: Scales = Scales(),  # noqa: B008 - frozen
+    scales: Scales = Scales(),
 ) -> SampledJoint:
     """Describes a joint with its controller block.
 

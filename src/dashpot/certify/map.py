@@ -6,26 +6,36 @@ motor's column, b the sample's row in their basis and P the transfer from motor 
 
     Re G >= level  <=>  |2 (1/C - P)* + X|^2 > A B,    A = sum |a_i|^2/(h_i - level),  B and X alike,
 
-as long as no h_i lies below the level (one may, then both A and B have to be negative and the sign turns). So a
-map costs a table of discs and one frequency response per point.
+as long as no h_i lies below the level (one may, then both A and B have to be negative and the sign turns). So
+a map costs a table of discs and one frequency response per point.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 from scipy.ndimage import label
 
-from dashpot.certify.exact import at_rest, scaled
+from dashpot.certify.exact import at_rest
 from dashpot.certify.index import unfit
-from dashpot.certify.joint import SampledJoint, Scales, sampled_joint
+from dashpot.certify.joint import SampledJoint, sampled_joint, scaled
 from dashpot.certify.loads import GROWS, loops
+from dashpot.certify.port import one_period
 from dashpot.drive import Drive
-from dashpot.sampled import IN_EFFECT, POSITION, TORQUE, VELOCITY, Floats, empty_block
+from dashpot.sampled import (
+    BLOCK_DTYPE,
+    IN_EFFECT,
+    POSITION,
+    TORQUE,
+    VELOCITY,
+    Floats,
+    add_position_loop,
+    empty_block,
+)
 
 INTERVALS = 32
 ANGLES = np.concatenate([np.geomspace(1e-4, 0.1, 28), np.linspace(0.11, np.pi, 84)])
@@ -40,7 +50,8 @@ class IndexMap:
     Attributes:
         R: (nr,) [-].
         D: (nd,) [N m s/rad].
-        index: (nd, nr) largest tabulated level at or below the index [N m s/rad]; -inf: below all, or unstable.
+        index: (nd, nr) largest tabulated level at or below the index [N m s/rad]; -inf: unstable, or below
+            all levels.
         coarse: Indices of the gains at which loads were tried, (rows, columns).
         oscillates: (len(rows), len(columns)) whether one of the inertias tried oscillates.
     """
@@ -79,40 +90,20 @@ def _listening(kp: float, kd: float) -> NDArray[np.void]:
 
 def _discs(drive: Drive, kp: float, kd: float, sampling: str, period: float, levels: Floats) -> _Discs:
     joint = sampled_joint(drive, _listening(kp, kd), sampling, period)
-    F, b, t, jump = scaled(joint)
-    n, N = len(F), INTERVALS
-    held = n - 1
-    full = np.zeros((n + 2, n + 2))
-    full[:n, :n], full[:n, n], full[n + 1, :n], full[n + 1, n] = F, b, t, joint.torque_w
-    exact = expm(full * (period / N))
-    powers = [np.eye(n)]
-    for _ in range(N):
-        powers.append(exact[:n, :n] @ powers[-1])
-    stacked = np.array(powers)
-    moved = stacked[:N] @ exact[:n, n]
-    flow, B = np.eye(len(jump)), np.zeros((len(jump), N))
-    flow[:n, :n], B[:n] = stacked[N], moved[::-1].T
-    energy = np.zeros((N, len(jump)))
-    energy[:, :n] = -exact[n + 1, :n] @ stacked[:N]
-    lag = np.subtract.outer(np.arange(N), np.arange(N))
-    direct = np.where(
-        lag >= 0,
-        np.concatenate([[-exact[n + 1, n]], -(moved @ exact[n + 1, :n])])[np.clip(lag, 0, N)],
-        0.0,
-    )
+    moves, jump, held = one_period(joint, INTERVALS), scaled(joint)[3], len(joint.flow) - 1
     sample = jump[held] * joint.units[held]  # [N m] from the state before the tick
     silent = jump.copy()
     silent[held] = 0.0
     motor = np.zeros(len(jump))
     motor[held] = 1 / joint.units[held]
     z = np.exp(1j * ANGLES)[:, None, None]
-    resolvent = np.linalg.inv(z * np.eye(len(jump)) - flow @ silent)
-    alone = direct + energy @ silent @ resolvent @ B
-    column = (energy @ motor) + (energy @ silent @ resolvent @ (flow @ motor))
-    row = sample @ resolvent @ B
-    transfer = np.einsum("i,kij,j->k", sample, resolvent, flow @ motor)
+    resolvent = np.linalg.inv(z * np.eye(len(jump)) - moves.flow @ silent)
+    alone = moves.D + moves.energy @ silent @ resolvent @ moves.B
+    column = moves.energy @ motor + moves.energy @ silent @ resolvent @ (moves.flow @ motor)
+    row = sample @ resolvent @ moves.B
+    transfer = np.einsum("i,kij,j->k", sample, resolvent, moves.flow @ motor)
     h, V = np.linalg.eigh((alone + np.conj(np.swapaxes(alone, -1, -2))) / 2)
-    scale = N / period
+    scale = INTERVALS / period
     a = np.einsum("kij,ki->kj", V.conj(), column) * np.sqrt(scale)
     c = np.einsum("kij,ki->kj", V.conj(), row.conj()) * np.sqrt(scale)
     weight = 1 / (h[None] * scale - levels[:, None, None])
@@ -168,8 +159,8 @@ def index_map(
 
     Args:
         drive: The joint's drive.
-        block: Makes the block of a pair (R, D); everything else stays.
-        loop: kp and kd, the position loop in the block [N m/rad, N m s/rad].
+        block: Makes the torque-feedback block of a pair (R, D), without position loop.
+        loop: kp and kd of the position loop to add [N m/rad, N m s/rad].
         sampling: "average" or "point".
         period: [s].
         R: (nr,) [-].
@@ -179,23 +170,24 @@ def index_map(
     """
     levels = _levels(drive)
     discs = _discs(drive, *loop, sampling, period, levels)
-    blocks = np.array([block(r, d) for d in D for r in R])
-    index = np.full(len(blocks), -np.inf)
-    for some in np.array_split(np.arange(len(blocks)), max(1, len(blocks) // 4000)):
-        index[some] = _highest(discs, blocks[some], levels)
-    index = index.reshape(len(D), len(R))
+    blocks = np.empty(len(D) * len(R), BLOCK_DTYPE)
+    for i, (d, r) in enumerate(itertools.product(D, R)):
+        blocks[i] = block(r, d)
+    pieces = np.array_split(blocks, max(1, len(blocks) // 4000))
+    index = np.concatenate([_highest(discs, some, levels) for some in pieces]).reshape(len(D), len(R))
 
     def joint_at(i: int, j: int) -> SampledJoint:
-        return sampled_joint(drive, blocks[i * len(R) + j], sampling, period)
+        whole = add_position_loop(blocks[i * len(R) + j], *loop)
+        return sampled_joint(drive, whole, sampling, period)
 
     # Where the form is positive no eigenvalue of the held joint can cross the unit circle: one exact look at
-    # every connected piece is enough.
-    pieces, count = label(index >= 0)
-    for piece in range(1, count + 1):
-        where = np.argwhere(pieces == piece)
+    # every connected region is enough.
+    regions, count = label(index >= 0)
+    for region in range(1, count + 1):
+        where = np.argwhere(regions == region)
         i, j = where[np.argmax(index[tuple(where.T)])]
         if unfit(at_rest(joint_at(i, j))):
-            index[pieces == piece] = -np.inf
+            index[regions == region] = -np.inf
     rows = np.unique(np.linspace(0, len(D) - 1, tried).round().astype(int))
     columns = np.unique(np.linspace(0, len(R) - 1, tried).round().astype(int))
     if inertias is None:
@@ -233,9 +225,7 @@ def _highest(discs: _Discs, blocks: BatchBlocks, levels: Floats) -> Floats:
 
 def _flows(joint: SampledJoint, inertias: Floats) -> Floats:
     """Loop with each inertia but for the jump at the tick: the same for every controller of this shape."""
-    import dataclasses
-
-    still = dataclasses.replace(joint, jump=np.eye(len(joint.jump)), speed_in_sample=False)
+    still = replace(joint, jump=np.eye(len(joint.jump)), speed_in_sample=False)
     return loops(still, inertias, np.zeros_like(inertias))
 
 
@@ -244,6 +234,3 @@ def _grows(joint: SampledJoint, flows: Floats) -> bool:
     jump = np.eye(size + 2)
     jump[:size, :size] = scaled(joint)[3]
     return bool(np.abs(np.linalg.eigvals(flows @ jump)).max() > 1 + GROWS)
-
-
-__all__ = ["IndexMap", "Scales", "index_map", "response"]

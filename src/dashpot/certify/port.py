@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from dashpot.certify.joint import SampledJoint
+from dashpot.certify.joint import SampledJoint, scaled
 from dashpot.sampled import Floats
 
 
@@ -58,6 +58,37 @@ class Port:
         return np.asarray(np.linalg.eigvalsh(H)[..., 0] * self.scale, float)
 
 
+@dataclass(frozen=True)
+class OnePeriod:
+    """What a joint does between two ticks, scaled: ``Y(h) = flow Y(0) + B w``, ``p = energy Y(0) + D w``."""
+
+    flow: Floats
+    B: Floats
+    energy: Floats
+    D: Floats
+
+
+def one_period(joint: SampledJoint, intervals: int) -> OnePeriod:
+    """Integrates a joint over one period from just after a tick, w constant on N sub-intervals."""
+    F, b, t, jump = scaled(joint)
+    n, size, N = len(F), len(jump), intervals
+    # Over one sub-interval: state, and the integral of the transmitted torque.
+    full = np.zeros((n + 2, n + 2))
+    full[:n, :n], full[:n, n], full[n + 1, :n], full[n + 1, n] = F, b, t, joint.torque_w
+    exact = expm(full * (joint.period / N))
+    step, torque, torque_w = exact[:n, :n], exact[n + 1, :n], exact[n + 1, n]
+    powers = np.empty((N + 1, n, n))
+    powers[0] = np.eye(n)
+    for i in range(N):
+        powers[i + 1] = step @ powers[i]
+    moved = powers[:N] @ exact[:n, n]  # (N, n): effect of a velocity i sub-intervals ago
+    flow, B, energy = np.eye(size), np.zeros((size, N)), np.zeros((N, size))
+    flow[:n, :n], B[:n], energy[:, :n] = powers[N], moved[::-1].T, -torque @ powers[:N]
+    lag = np.subtract.outer(np.arange(N), np.arange(N))
+    response = np.concatenate([[-torque_w], -(moved @ torque)])
+    return OnePeriod(flow, B, energy, np.where(lag >= 0, response[np.clip(lag, 0, N)], 0.0))
+
+
 def lift(joint: SampledJoint, intervals: int) -> Port:
     """Lifts a joint over one period.
 
@@ -65,30 +96,5 @@ def lift(joint: SampledJoint, intervals: int) -> Port:
         joint: See `dashpot.certify.joint.sampled_joint`.
         intervals: N.
     """
-    n, size, N = len(joint.flow), len(joint.jump), intervals
-    units = joint.units
-    # Over one sub-interval, scaled: state, and the integral of the transmitted torque.
-    full = np.zeros((n + 2, n + 2))
-    full[:n, :n] = joint.flow * units[:n] / units[:n, None]
-    full[:n, n] = joint.velocity_in / units[:n]
-    full[n + 1, :n], full[n + 1, n] = joint.torque * units[:n], joint.torque_w
-    exact = expm(full * (joint.period / N))
-    step, step_w = exact[:n, :n], exact[:n, n]
-    torque, torque_w = exact[n + 1, :n], exact[n + 1, n]
-
-    powers = np.empty((N + 1, n, n))  # of the sub-interval's transition
-    powers[0] = np.eye(n)
-    for i in range(N):
-        powers[i + 1] = step @ powers[i]
-    moved = powers[:N] @ step_w  # (N, n): effect of a velocity i sub-intervals ago
-    flow = np.eye(size)
-    flow[:n, :n] = powers[N]
-    B = np.zeros((size, N))
-    B[:n] = moved[::-1].T
-    energy = np.zeros((N, size))
-    energy[:, :n] = -torque @ powers[:N]
-    lag = np.subtract.outer(np.arange(N), np.arange(N))
-    response = np.concatenate([[-torque_w], -(moved @ torque)])
-    D = np.where(lag >= 0, response[np.clip(lag, 0, N)], 0.0)
-    jump = joint.jump * units / units[:, None]
-    return Port(flow @ jump, B, energy @ jump, D, joint.period)
+    period, jump = one_period(joint, intervals), scaled(joint)[3]
+    return Port(period.flow @ jump, period.B, period.energy @ jump, period.D, joint.period)

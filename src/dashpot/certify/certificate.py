@@ -1,0 +1,174 @@
+"""The certificate of an arm: every joint over its whole box, and what follows for all of them together."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from dashpot.certify.box import POINTS, BoxCertificate, at, certify_box
+from dashpot.certify.counterexample import Counterexample, counterexample
+from dashpot.certify.index import Index, passivity_index
+from dashpot.certify.joint import sampled_joint
+from dashpot.controller import ControllerConfig, JointGains, joint_block
+from dashpot.drive import Drive
+from dashpot.errors import InputError
+from dashpot.robot import Robot
+from dashpot.sampled import empty_block
+
+STATEMENT = (
+    "A certified joint gives out no more energy than was put in, whatever passive load hangs on it; an arm of "
+    "certified joints, with any passive mechanism, payload, pose and contact, cannot make them oscillate. "
+    "Assumed: constant references, torques below their limits, linear drives within the stated box. "
+    "Backlash, presliding friction and a moving reference are outside; see docs/certificate.md."
+)
+
+
+@dataclass(frozen=True)
+class JointCertificate:
+    """Verdict on one joint.
+
+    Attributes:
+        name: Its name.
+        nominal: Index with the drive's nominal values.
+        bare: Index of the drive without a controller [N m s/rad].
+        box: Over the box of the drive's uncertainty.
+        brake: The same without position loop, as when the encoder is lost; None where there is none.
+        counterexample: A load that oscillates where the verdict is no, or None.
+        point: Drive values at which it does: nominal, or the worst point of the box.
+    """
+
+    name: str
+    nominal: Index
+    bare: float
+    box: BoxCertificate
+    brake: BoxCertificate | None
+    counterexample: Counterexample | None
+    point: Mapping[str, float]
+
+    @property
+    def certified(self) -> bool:
+        """Whether no passive load can make the joint oscillate, anywhere in the box."""
+        return self.nominal.passive and self.box.proven
+
+    @property
+    def margin(self) -> float:
+        """Worst index relative to that of the drive alone [-]."""
+        return self.box.worst.value / self.bare if self.bare > 0 else -float("inf")
+
+    @property
+    def reason(self) -> str:
+        """Why the verdict is no, in words; empty where it is yes."""
+        if self.certified:
+            return ""
+        for found in (self.nominal, self.box.worst):
+            if found.reason:
+                return found.reason
+        if self.box.worst.value > 0:
+            return self.box.reason
+        return "the joint gives out energy at its worst frequency"
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Verdict on an arm.
+
+    Attributes:
+        robot: Name of the arm.
+        joints: One per controlled joint, base to tip.
+        others: Joints the controller leaves to the robot, taken to be passive.
+    """
+
+    robot: str
+    joints: tuple[JointCertificate, ...]
+    others: tuple[str, ...]
+
+    @property
+    def certified(self) -> bool:
+        """Whether every joint is."""
+        return all(joint.certified for joint in self.joints)
+
+    def table(self) -> dict[str, Any]:
+        """For JSON; an index of minus infinity is written as the lowest number there is."""
+        return {"certified": self.certified, "joints": [_row(joint) for joint in self.joints]}
+
+
+def certify(robot: Robot, config: ControllerConfig) -> Certificate:
+    """Certifies a controller on an arm, joint by joint; no model of the arm is needed.
+
+    Raises:
+        InputError: A joint of the controller is not one of the robot.
+    """
+    drives = {drive.name: drive for drive in robot.drives}
+    for gains in config.joints:
+        if gains.name not in drives:
+            raise InputError(
+                f"the robot has no such joint; it has {', '.join(drives)}", file=config.file, joint=gains.name
+            )
+    by_name = {gains.name: gains for gains in config.joints}
+    joints = tuple(certify_joint(drives[n], by_name[n], config) for n in robot.joints if n in by_name)
+    return Certificate(robot.name, joints, tuple(name for name in robot.joints if name not in by_name))
+
+
+def certify_joint(drive: Drive, gains: JointGains, config: ControllerConfig) -> JointCertificate:
+    """Certifies one joint of a controller file."""
+    block = joint_block(gains, drive, config, file=config.file)
+    sampling, period = config.sampling, config.period
+    nominal = passivity_index(drive, block, sampling, period)
+    box = certify_box(drive, block, sampling, period, config.latency_max)
+    brake = None
+    if gains.kp or gains.kd:
+        released = joint_block(replace(gains, kp=0.0, kd=0.0), drive, config, file=config.file)
+        brake = certify_box(drive, released, sampling, period, config.latency_max)
+    point = {name: _nominal(name, drive, config) for name in POINTS}
+    load = None
+    if not nominal.passive:
+        load = counterexample(sampled_joint(drive, block, sampling, period), drive)
+    elif not box.proven:
+        point = dict(box.point)
+        there, scales = at(drive, point)
+        load = counterexample(sampled_joint(there, block, sampling, period, scales), there)
+    bare = passivity_index(drive, empty_block(), sampling, period).value
+    return JointCertificate(drive.name, nominal, bare, box, brake, load, point)
+
+
+def _nominal(name: str, drive: Drive, config: ControllerConfig) -> float:
+    if name == "latency":
+        return float(config.latency)
+    return 1.0 if name in ("torque_gain", "position_gain") else float(getattr(drive, name))
+
+
+def _finite(value: float) -> float:
+    return max(value, -sys.float_info.max)
+
+
+def _row(joint: JointCertificate) -> dict[str, Any]:
+    worst, load = joint.box.worst, joint.counterexample
+    row: dict[str, Any] = {
+        "name": joint.name,
+        "index": _finite(joint.nominal.value),
+        "worst_index": _finite(worst.value),
+        "frequency_hz": worst.frequency if joint.nominal.passive else joint.nominal.frequency,
+        "certified": joint.certified,
+        "counterexample": None,
+        "margin": _finite(joint.margin),
+        "worst_point": dict(joint.box.point),
+        "intervals": joint.nominal.intervals,
+        "remainder": joint.nominal.remainder,
+        "reason": joint.reason,
+        "brake": None if joint.brake is None else {"worst_index": _finite(joint.brake.worst.value)},
+    }
+    if joint.brake is not None:
+        row["brake"]["certified"] = joint.brake.proven
+    if load is not None:
+        row["counterexample"] = {
+            "load": load.load.kind,
+            "inertia": load.load.inertia,
+            "stiffness": load.load.stiffness,
+            "frequency_hz": load.frequency,
+            "growth_per_s": load.growth,
+            "at": dict(joint.point),
+            "text": str(load),
+        }
+    return row

@@ -18,8 +18,8 @@ from dashpot.robot import Robot
 from dashpot.sampled import empty_block
 
 STATEMENT = (
-    "A certified joint gives out no more energy than was put in, whatever passive load hangs on it; an arm of "
-    "certified joints, with any passive mechanism, payload, pose and contact, cannot make them oscillate. "
+    "A certified joint gives out no more energy than was put in, whatever passive load hangs on it; no "
+    "passive mechanism, payload, pose or contact can make an arm of certified joints oscillate. "
     "Assumed: constant references, torques below their limits, linear drives within the stated box. "
     "Backlash, presliding friction and a moving reference are outside; see docs/certificate.md."
 )

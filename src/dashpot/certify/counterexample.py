@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from dashpot.certify.joint import SampledJoint
+from dashpot.certify.joint import SPEED, SampledJoint
 from dashpot.certify.loads import GROWS, Load, loops, oscillation, radii
 from dashpot.drive import Drive
 from dashpot.sampled import Floats
@@ -20,7 +20,9 @@ COARSE = np.geomspace(1e-3, 1e3, 60)
 SPRINGS = np.geomspace(1e-4, 1e2, 10)  # of the transmission's stiffness
 MASSES, LENGTHS = np.geomspace(0.05, 50, 16), np.geomspace(0.03, 1.5, 10)  # [kg], [m]
 STARTS = 4
-FAR = 0.5  # how far a search may go from its start, in logarithms
+CLEAR = 0.3  # growth per cycle, in logarithms, that shows best
+FAR = 0.3  # what a load of another size than the rotor costs, per logarithm
+NEAR = 0.5  # how far a climb may go from its start, in logarithms
 
 
 @dataclass(frozen=True)
@@ -56,14 +58,14 @@ def counterexample(joint: SampledJoint, drive: Drive) -> Counterexample | None:
         drive: Its drive: no load is lighter than `link_inertia`, or has less friction than `link_friction`.
 
     Returns:
-        The fastest growing load of the first family that has one, or None.
+        A load of the first family that has one, or None.
     """
     least, friction = drive.link_inertia, drive.link_friction
     for some in INERTIAS:
         inertia = np.unique(np.maximum(some * drive.rotor_inertia, least))
         found = _worst(joint, inertia, np.zeros_like(inertia), friction)
         if found is not None:
-            return _named(joint, "inertia", *_steeper(joint, found, least, friction, spring=False), friction)
+            return _named(joint, "inertia", *found, friction)
     mass, length = (grid.ravel() for grid in np.meshgrid(MASSES, LENGTHS))
     heavy = mass * length**2 >= least
     pendulums = [Load.pendulum(*pair) for pair in zip(mass[heavy], length[heavy], strict=True)]
@@ -75,9 +77,12 @@ def counterexample(joint: SampledJoint, drive: Drive) -> Counterexample | None:
         return _named(joint, "pendulum", *found, friction)
     coarse = np.unique(np.maximum(COARSE * drive.rotor_inertia, least))
     inertia, stiffness = (grid.ravel() for grid in np.meshgrid(coarse, SPRINGS * drive.stiffness))
+    found = _worst(joint, inertia, stiffness, friction)
+    if found is not None:
+        return _named(joint, "inertia and spring", *found, friction)
     rates = _largest(joint, inertia, stiffness, friction)
     best = np.argsort(rates)[::-1][:STARTS]
-    tried = [_steeper(joint, (inertia[i], stiffness[i]), least, friction, spring=True) for i in best]
+    tried = [_steeper(joint, (inertia[i], stiffness[i]), least, friction) for i in best]
     for pair in tried:
         if radii(joint, np.array([pair[0]]), np.array([pair[1]]), friction)[0] > 1 + GROWS:
             return _named(joint, "inertia and spring", *pair, friction)
@@ -93,30 +98,38 @@ def _largest(joint: SampledJoint, inertia: Floats, stiffness: Floats, friction: 
 def _worst(
     joint: SampledJoint, inertia: Floats, stiffness: Floats, friction: float
 ) -> tuple[float, float] | None:
+    """The load that shows it best: growing clearly from cycle to cycle, its inertia near the rotor's."""
     if not len(inertia):
         return None
-    rates = _largest(joint, inertia, stiffness, friction)
-    i = int(rates.argmax())
-    return (float(inertia[i]), float(stiffness[i])) if rates[i] > 1 + GROWS else None
+    values = np.linalg.eigvals(loops(joint, inertia, stiffness, friction))
+    values = values[np.arange(len(values)), np.abs(values).argmax(-1)]
+    grows = np.abs(values) > 1 + GROWS
+    if not grows.any():
+        return None
+    per_cycle = np.log(np.abs(values)) * 2 * np.pi / np.maximum(np.abs(np.angle(values)), 1e-9)
+    far = np.abs(np.log(inertia * joint.flow[SPEED, -1]))  # of the rotor's: the motor moves it by 1 / m
+    with np.errstate(divide="ignore", invalid="ignore"):
+        score = np.where(grows, -np.abs(np.log(per_cycle / CLEAR)) - FAR * far, -np.inf)
+    i = int(score.argmax())
+    return float(inertia[i]), float(stiffness[i])
 
 
 def _steeper(
-    joint: SampledJoint, start: tuple[float, float], least: float, friction: float, *, spring: bool
+    joint: SampledJoint, start: tuple[float, float], least: float, friction: float
 ) -> tuple[float, float]:
     """Climbs from a load to one that grows faster."""
 
     def load(x: Floats) -> tuple[float, float]:
-        inertia = max(start[0] * float(np.exp(np.clip(x[0], -FAR, FAR))), least)
-        return inertia, start[1] * float(np.exp(np.clip(x[1], -FAR, FAR))) if spring else start[1]
+        inertia = max(start[0] * float(np.exp(np.clip(x[0], -NEAR, NEAR))), least)
+        return inertia, start[1] * float(np.exp(np.clip(x[1], -NEAR, NEAR)))
 
     def slowness(x: Floats) -> float:
         inertia, stiffness = load(x)
         return -float(_largest(joint, np.array([inertia]), np.array([stiffness]), friction)[0])
 
-    size = 2 if spring else 1
-    simplex = np.vstack([np.zeros(size), 0.1 * np.eye(size)])
+    simplex = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])
     options = {"maxfev": 60, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-12}
-    return load(minimize(slowness, np.zeros(size), method="Nelder-Mead", options=options).x)
+    return load(minimize(slowness, np.zeros(2), method="Nelder-Mead", options=options).x)
 
 
 def _named(

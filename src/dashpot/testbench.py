@@ -1,0 +1,215 @@
+"""One joint on a test bench: a load hung on it, as files that `dashpot simulate` runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dashpot.certify.box import DRIVE
+from dashpot.certify.counterexample import Counterexample
+from dashpot.certify.loads import GRAVITY, Load
+from dashpot.controller import ControllerConfig, JointGains
+from dashpot.drive import Drive, InnerLoop, Servo
+from dashpot.recording import Recording
+from dashpot.sampled import Floats
+
+POINT_MASS = 1e-9  # share of a pendulum's inertia that is about its own centre; the engine wants some
+KNOCK = 0.01  # [s]
+HOT = 0.5  # of the torque limit, where watching ends
+STUCK = 8.0  # of the friction the law shows, the least knock
+LONGEST = 400_000  # ticks of a replay
+FEWEST, MODES = 12, 6  # samples, modes
+
+
+def write(
+    folder: Path,
+    load: Load,
+    drive: Drive,
+    gains: JointGains,
+    config: ControllerConfig,
+    point: Mapping[str, float] | None = None,
+) -> tuple[Path, Path]:
+    """Writes robot.toml, bench.xml and controller.toml for one joint with a load.
+
+    Args:
+        folder: Made where it is not there.
+        load: Its stiffness becomes a weight below the axis: M g r, the same for small angles.
+        drive: The joint's drive.
+        gains: Its gains.
+        config: The controller they belong to.
+        point: Values to simulate instead of the nominal ones, as in `dashpot.certify.box.POINTS`; the law
+            keeps resting on the nominal drive.
+
+    Returns:
+        Paths of the robot and of the controller file.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    point = point or {}
+    changes: dict[str, Any] = {name: point[name] for name in DRIVE if name in point}
+    actual = replace(drive, servo=None, uncertainty={}, **changes)
+    scale, extra = (
+        point.get("torque_gain", 1.0) - 1,
+        int(point.get("latency", config.latency)) - config.latency,
+    )
+    actual = replace(
+        actual, torque_scale_error=scale, torque_latency=drive.torque_latency + extra * config.period
+    )
+    position = point.get("position_gain", 1.0)
+    model, robot, controller = (folder / name for name in ("bench.xml", "robot.toml", "controller.toml"))
+    model.write_text(_mjcf(drive.name, load), encoding="utf-8")
+    robot.write_text(
+        f'# {drive.name} with a load: {load}\nname = "bench"\nmodel = "bench.xml"\nhome = [0.0]\n\n'
+        f"[[joint]]\n{_toml(actual)}",
+        encoding="utf-8",
+    )
+    law = replace(
+        gains,
+        kp=gains.kp * position,
+        kd=gains.kd * position,
+        rotor_inertia=drive.rotor_inertia if gains.rotor_inertia is None else gains.rotor_inertia,
+        viscous_friction=drive.viscous_friction if gains.viscous_friction is None else gains.viscous_friction,
+    )
+    controller.write_text(
+        f'period = {config.period!r}\nlatency = {config.latency}\nsampling = "{config.sampling}"\n'
+        f'form = "{config.form}"\n\n[[joint]]\n{_toml(law)}',
+        encoding="utf-8",
+    )
+    return robot, controller
+
+
+def _toml(record: Drive | JointGains) -> str:
+    lines = []
+    for f in fields(record):
+        value = getattr(record, f.name)
+        if value is None or value == f.default or (isinstance(value, Mapping) and not value):
+            continue
+        if isinstance(value, InnerLoop | Servo):
+            inner = ", ".join(
+                f"{key} = {number!r}" for key, number in vars(value).items() if math.isfinite(number)
+            )
+            lines.append(f"{f.name} = {{ {inner} }}")
+        elif isinstance(value, str):
+            quoted = value.replace("\\", "\\\\").replace('"', '\\"')
+            lines.append(f'{f.name} = "{quoted}"')
+        else:
+            lines.append(f"{f.name} = {value if isinstance(value, int) else float(value)!r}")
+    return "\n".join(lines) + "\n"
+
+
+def _mjcf(joint: str, load: Load) -> str:
+    """A body on one horizontal hinge with the load's inertia about it and its weight below it."""
+    if load.stiffness == 0:
+        mass, reach, own = min(max(load.inertia / 0.01, 0.01), 100.0), 0.0, load.inertia
+    elif load.kind == "pendulum":
+        mass, reach = load.payload
+        own = load.inertia * POINT_MASS
+    else:
+        reach = GRAVITY * load.inertia / (2 * load.stiffness)
+        mass, own = load.stiffness / (GRAVITY * reach), load.inertia / 2
+    mass, reach, own = float(mass), float(reach), float(own)
+    shown = min(max(reach, 0.02), 1.0)
+    escaped = joint.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
+    return f"""<mujoco model="bench">
+  <compiler angle="radian"/>
+  <option gravity="0 0 -{GRAVITY!r}"/>
+  <worldbody>
+    <body name="load">
+      <joint name="{escaped}" type="hinge" axis="0 1 0"/>
+      <inertial pos="0 0 {-reach!r}" mass="{mass!r}" diaginertia="{own!r} {own!r} {own!r}"/>
+      <geom type="capsule" fromto="0 0 0 0 0 {-shown!r}" size="0.01" contype="0" conaffinity="0"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def tap(ticks: int, joints: int, period: float, torque: float) -> Floats:
+    """External torque (ticks, joints) that knocks the last link for the first `KNOCK` seconds [N m]."""
+    external = np.zeros((ticks, joints))
+    external[: max(1, round(KNOCK / period)), -1] = torque
+    return external
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What a predicted oscillation did in the nonlinear simulator.
+
+    Attributes:
+        frequency: [Hz], of the strongest oscillation before anything saturates.
+        growth: Rate of its amplitude [1/s].
+        recording: The run.
+    """
+
+    frequency: float
+    growth: float
+    recording: Recording
+
+
+def replay(robot: Path, controller: Path, expected: Counterexample, cycles: float = 8.0) -> Replay:
+    """Knocks the load of a written bench and watches the oscillation grow.
+
+    Friction, limits and sensor noise act. The knock is as small as leaves some cycles until half the torque
+    limit is reached, and large enough for friction not to hold the joint.
+
+    Args:
+        robot: As `write` wrote it.
+        controller: As `write` wrote it.
+        expected: What was predicted.
+        cycles: To watch.
+    """
+    from dashpot.controller import Controller
+    from dashpot.plant import build
+    from dashpot.robot import Robot
+    from dashpot.simulate import Scenario, run
+    from dashpot.trajectory import hold
+
+    arm, config = Robot.load(robot), ControllerConfig.load(controller)
+    drive, gains, period, inertia = arm.drives[0], config.joints[0], config.period, expected.load.inertia
+    omega = 2 * math.pi * expected.frequency
+    least = max(
+        STUCK * (1 + gains.R) * drive.coulomb_friction, 20 * drive.torque_noise, 1e-3 * drive.torque_limit
+    )
+    room = HOT * drive.torque_limit * math.exp(-cycles * expected.growth / expected.frequency)
+    torque = min(max(room, least), 0.2 * drive.torque_limit)  # of the first cycle
+    speed = torque / min(inertia * omega, math.sqrt(drive.stiffness * drive.rotor_inertia))
+    duration = min(max(3 * cycles / expected.frequency, 8 / expected.growth), LONGEST * period)
+    path = hold([0.0], duration, period)
+    knock = inertia * speed / (max(1, round(KNOCK / period)) * period)
+    scenario = Scenario(
+        build(arm, period),
+        Controller.from_config(config, arm.drives),
+        path,
+        external=tap(len(path.position), 1, period, knock),
+    )
+    recording = run(scenario)
+    hot = np.flatnonzero(~(np.abs(recording.command[:, 0]) < HOT * drive.torque_limit))
+    last = int(hot[0]) if len(hot) else len(path.position)
+    first = max(round(KNOCK / period) + 1, last - math.ceil(cycles / (expected.frequency * period)))
+    frequency, rate = strongest(recording.torque[first:last, 0], period)
+    return Replay(frequency, rate, recording)
+
+
+def strongest(signal: Floats, period: float) -> tuple[float, float]:
+    """Frequency [Hz] and growth rate [1/s] of the strongest oscillation in a signal, (ticks,).
+
+    Matrix pencil of a few modes: exact for a sum of growing or decaying oscillations. (nan, nan) for fewer
+    than `FEWEST` samples.
+    """
+    if len(signal) < FEWEST or not np.isfinite(signal).all() or not signal.any():
+        return math.nan, math.nan
+    hankel = np.lib.stride_tricks.sliding_window_view(signal, len(signal) // 3)
+    left, sizes, _ = np.linalg.svd(hankel.T, full_matrices=False)
+    order = max(2, min(MODES, int((sizes > 1e-4 * sizes[0]).sum())))
+    basis = left[:, :order]
+    roots = np.linalg.eigvals(np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0]).astype(complex)
+    roots = roots[np.abs(roots) > 1e-6]
+    powers = roots[None, :] ** np.arange(len(signal))[:, None]
+    amplitudes = np.linalg.lstsq(powers, signal.astype(complex), rcond=None)[0]
+    energy = (np.abs(powers * amplitudes) ** 2).sum(0) * (np.abs(np.angle(roots)) > 1e-3)
+    best = roots[energy.argmax()]
+    return float(abs(np.angle(best)) / (2 * np.pi * period)), float(np.log(abs(best)) / period)

@@ -134,6 +134,27 @@ def test_uncertainty_is_relative(value):
         load(uncertainty={"stifness": 0.1})
 
 
+@pytest.mark.parametrize("value", [0, 3, -1, 1.0, 2.5, math.nan, True, False, "2", [2], {}, 10**400])
+def test_sensor_order_is_one_or_two(value):
+    for build, file in ((load, "arm.toml: "), (lambda **c: Drive(**{**GOOD, **c}), "")):
+        with pytest.raises(InputError) as caught:
+            build(sensor_order=value)
+        assert str(caught.value).startswith(f"{file}joint 'j1': sensor_order = ")
+        assert str(caught.value).endswith(": must be 1 or 2")
+    assert [load(sensor_order=order).sensor_order for order in (1, 2)] == [1, 2]
+    assert load().sensor_order == 2
+
+
+@pytest.mark.parametrize("key", ["link_inertia", "link_friction"])
+def test_what_is_vouched_for_of_the_link_is_not_negative(key):
+    with pytest.raises(
+        InputError, match=rf"^arm.toml: joint 'j1': {key} \[.*\] = -0.001: must be at least 0"
+    ):
+        load(**{key: -1e-3})
+    assert getattr(load(), key) == 0
+    assert getattr(load(**{key: 2}), key) == 2.0
+
+
 def test_rules_in_words():
     assert Range("s", 0, math.inf).rule == "must not be negative"
     assert Range("s", 0, math.inf, open_low=True).rule == "must be positive"

@@ -26,11 +26,12 @@ WRIST = ("joint5", "joint6", "joint7")
 
 
 def k807(monkeypatch, *, coulomb=0.0, **changes):
-    """The arm without friction, with a payload, at a fine step; joint 6 behind a sensor filter."""
+    """The arm without friction, with a payload, at a fine step; joints 6 and 7 behind sensor filters."""
     monkeypatch.setattr(plant_module, "STEP_FRACTION", 0.02)
     robot = Robot.load("k807")
     quiet = {name: {"coulomb_friction": coulomb, "torque_noise": 0.0} for name in robot.joints}
-    quiet["joint6"] |= {"sensor_bandwidth": 60.0}
+    quiet["joint6"] |= {"sensor_bandwidth": 40.0, "sensor_order": 1}
+    quiet["joint7"] |= {"sensor_bandwidth": 60.0}
     quiet["joint3"] |= changes
     return build(robot.with_drives(quiet), H, [Payload(2.3, 0.15)])
 
@@ -111,9 +112,11 @@ def test_the_closed_loop_matrix_moves_as_the_simulation_does(monkeypatch, latenc
     z = np.zeros(len(matrix))
     z[:nv], z[nv : 2 * nv] = dq, dv
     filtered = [i for i in range(4, 7) if drives["filtered"][i]]
-    at = len(arm.phi) - 3 - 2 * len(filtered)
-    for k, i in enumerate(filtered):
-        z[at + 2 * k] = tau[i]  # the filter starts settled
+    orders = [plant.robot.drives[i].sensor_order for i in filtered]
+    assert orders == [1, 2]
+    at = len(arm.phi) - 3 - sum(orders)
+    for i, order in zip(filtered, orders, strict=True):
+        z[at], at = tau[i], at + order  # the filter starts settled
     z[len(arm.phi) - 3 : len(arm.phi)] = tau[4:]  # and the first sample is no average yet
     path = np.array([np.linalg.matrix_power(matrix, k) @ z for k in range(ticks)])
     link = path[:, : len(arm.phi)] @ arm.shape.T
@@ -123,6 +126,27 @@ def test_the_closed_loop_matrix_moves_as_the_simulation_does(monkeypatch, latenc
         got = moved[CHANNELS.index(name)][: len(expected)]
         got = got if expected.shape[1] == 7 else got[:, 4:]
         assert np.abs(got - expected).max() < 0.03 * np.abs(expected).max(), name
+
+
+@pytest.mark.parametrize(("order", "poles"), [(1, [-1.0]), (2, np.roots([1, 2 * 0.6, 1]))])
+def test_a_sensor_filter_adds_its_poles_and_keeps_constant_torques(tmp_path, order, poles):
+    """The filter hangs in series: the arm's own eigenvalues stay, exp(p omega h) of the filter join them."""
+    sensor = {"sensor_bandwidth": 30.0, "sensor_order": order, "sensor_damping": 0.6}
+    plain, filtered = (
+        linearise(
+            build(one_joint(tmp_path, 0.2, viscous_friction=0.0, **values), H), ["j"], np.zeros(1), H, "point"
+        )
+        for values in ({}, sensor)
+    )
+    expected = np.r_[np.linalg.eigvals(plain.phi), np.exp(np.array(poles) * 2 * math.pi * 30.0 * H)]
+    found = np.linalg.eigvals(filtered.phi)
+    assert len(found) == len(expected) == len(plain.phi) + order
+    assert np.poly(found) == pytest.approx(np.poly(expected), abs=1e-6)
+    # A constant torque accelerates the free joint; what the link's inertia takes is transmitted, and is read.
+    x = np.zeros(len(filtered.phi))
+    for _ in range(1000):
+        x = filtered.phi @ x + filtered.gamma[:, 0]
+    assert filtered.read[0, 0] @ x == pytest.approx(0.2 / (0.2 + 0.05), rel=1e-6)
 
 
 # --- one joint: what THEORY section 6 says --------------------------------------------------------

@@ -587,17 +587,30 @@ def test_a_point_sample_is_the_torque_at_the_tick(tmp_path):
 
 
 @pytest.mark.parametrize("frequency", [5.0, 40.0, 80.0])
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.usefixtures("fine")
-def test_the_sensor_filter_has_its_frequency_response(tmp_path, frequency):
+def test_the_sensor_filter_has_its_frequency_response(tmp_path, frequency, order):
     bandwidth, zeta, h = 50.0, 0.6, 5e-4
-    plant = build(one_joint(tmp_path, sensor_bandwidth=bandwidth, sensor_damping=zeta, damping=30.0), h)
+    sensor = {"sensor_bandwidth": bandwidth, "sensor_order": order, "sensor_damping": zeta}
+    plant = build(one_joint(tmp_path, damping=30.0, **sensor), h)
     t = h * np.arange(round(1.0 / h))
     recording = drive_with(plant, h, np.sin(2 * math.pi * frequency * t))
     wave = np.exp(-2j * math.pi * frequency * t[len(t) // 2 - 1 : -1])
     out, into = (x[len(t) // 2 - 1 : -1, 0] @ wave for x in (recording.sample, recording.torque))
     s, w0 = 2j * math.pi * frequency, 2 * math.pi * bandwidth
-    expected = w0**2 / (s**2 + 2 * zeta * w0 * s + w0**2)
+    expected = w0 / (s + w0) if order == 1 else w0**2 / (s**2 + 2 * zeta * w0 * s + w0**2)
     assert abs(out / into - expected) < 0.02
+
+
+def test_a_first_order_sensor_is_exact_for_a_torque_held_over_each_step(tmp_path):
+    """x' = omega (tau - x): in closed form the sum of the responses to every step of the torque."""
+    plant = build(one_joint(tmp_path, sensor_bandwidth=60.0, sensor_order=1, sensor_damping=0.1), 1e-3)
+    dt = plant.timestep
+    _, recording = shaken(tmp_path, dt, 400, "point", plant=plant)
+    steps = np.diff(recording.torque[:, 0], prepend=0.0)
+    response = 1 - np.exp(-2 * math.pi * 60.0 * dt * np.arange(1, 401))
+    np.testing.assert_allclose(recording.sample[:, 0], np.convolve(steps, response)[:400], atol=1e-9)
+    assert np.abs(recording.sample - recording.torque).max() > 0.1 * np.abs(recording.torque).max()
 
 
 def test_scale_bias_and_resolution(tmp_path):

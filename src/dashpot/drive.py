@@ -123,6 +123,10 @@ class Drive:
             raise InputError(
                 "must not be zero", joint=self.name, quantity="gear_ratio [-]", value=self.gear_ratio
             )
+        if type(self.sensor_order) is not int or self.sensor_order not in (1, 2):
+            raise InputError(
+                "must be 1 or 2", joint=self.name, quantity="sensor_order", value=self.sensor_order
+            )
         check_uncertainty(self.uncertainty, joint=self.name)
 
     @classmethod

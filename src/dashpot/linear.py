@@ -86,7 +86,8 @@ def linearise(plant: Plant, joints: Sequence[str], pose: Floats, period: float, 
     servos = [i for i in range(n) if i not in controlled]
     nc, ns = len(controlled), len(servos)
     filtered = [i for i in controlled if drives["filtered"][i]]
-    size = 2 * nv + ns + 2 * len(filtered)
+    orders = [plant.robot.drives[i].sensor_order for i in filtered]
+    size = 2 * nv + ns + sum(orders)
     A = np.zeros((size, size))
     torque = np.zeros((n, size))  # transmitted torque from the state
     torque[np.arange(n), spring] = -drives["stiffness"]
@@ -102,14 +103,17 @@ def linearise(plant: Plant, joints: Sequence[str], pose: Floats, period: float, 
     A[:nv, nv : 2 * nv] = np.eye(nv)
     A[nv : 2 * nv] = inverse @ force
     seen = torque[controlled].copy()
-    for k, i in enumerate(filtered):
-        at = 2 * nv + ns + 2 * k
+    at = 2 * nv + ns
+    for i, order in zip(filtered, orders, strict=True):
         drive = plant.robot.drives[i]
         omega = 2 * np.pi * float(drive.sensor_bandwidth or 0)
-        A[at, at + 1] = omega
-        A[at + 1] = omega * torque[i]
-        A[at + 1, [at, at + 1]] += -omega, -2 * drive.sensor_damping * omega
+        A[at + order - 1] = omega * torque[i]
+        A[at + order - 1, at] -= omega
+        if order == 2:
+            A[at, at + 1] = omega
+            A[at + 1, at + 1] -= 2 * drive.sensor_damping * omega
         seen[controlled.index(i)] = np.eye(size)[at]
+        at += order
     seen *= drives["sensor_gain"][controlled][:, None]
     B = np.zeros((size, nc))
     B[nv : 2 * nv] = inverse[:, rotor[controlled]] * drives["actuator_gain"][controlled]

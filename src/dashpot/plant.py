@@ -249,10 +249,15 @@ def _set_step(records: NDArray[np.void], robot: Robot, dt: float) -> None:
         record["presliding_damping"] = math.sqrt(presliding * drive.rotor_inertia) * inner
         if drive.sensor_bandwidth is not None:
             omega, zeta = 2 * math.pi * drive.sensor_bandwidth, drive.sensor_damping
-            # States: filtered torque and its rate over omega; exact for an input held over the step.
-            A = omega * np.array([[0.0, 1.0, 0.0], [-1.0, -2 * zeta, 1.0], [0.0, 0.0, 0.0]])
-            exact = expm(A * dt)
-            record["filter_a"], record["filter_b"] = exact[:2, :2], exact[:2, 2]
+            # Both are exact for an input held over the step.
+            if drive.sensor_order == 1:  # x' = omega (tau - x); the second state stays zero
+                record["filter_a"], record["filter_b"] = 0.0, 0.0
+                record["filter_a"][0, 0] = math.exp(-omega * dt)
+                record["filter_b"][0] = -math.expm1(-omega * dt)
+            else:  # states: filtered torque and its rate over omega
+                A = omega * np.array([[0.0, 1.0, 0.0], [-1.0, -2 * zeta, 1.0], [0.0, 0.0, 0.0]])
+                exact = expm(A * dt)
+                record["filter_a"], record["filter_b"] = exact[:2, :2], exact[:2, 2]
             record["filtered"] = 1
         delay = round(drive.torque_latency / dt)
         if delay > _native.MAX_DELAY:

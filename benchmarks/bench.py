@@ -1,6 +1,6 @@
-"""Speed of dashpot as ratios measured in one run: closed loop, controller step, allocation, threads.
+"""Speed of dashpot as ratios measured in one run: closed loop, controller step, threads, certificate.
 
-    python benchmarks/bench.py [--json FILE] [--check]
+    python benchmarks/bench.py [--json FILE] [--check] [--only PART ...]
 
 Alternatives take turns, in rounds of some milliseconds, and a round counts CPU time of the thread, so that
 other programs disturb all of them alike. The rounds are dealt into five sets; each gives a best-of, or a
@@ -27,6 +27,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import rivals
+from certify import certificate
 from measure import SETS, Rows, Timed, bytes_in_use, calls, interleave
 from rich.console import Console
 
@@ -266,20 +267,24 @@ def threads(rows: Rows) -> None:
     rows.add("threads_speedup", "two threads: times faster", best["one"] / best["two"])
 
 
+PARTS = {part.__name__: part for part in (closed_loop, controller_step, allocation, threads, certificate)}
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--json", type=Path, help="write the numbers to this file")
     parser.add_argument("--check", action="store_true", help="exit with 1 where a target is missed")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), help="parts to run")
     options = parser.parse_args()
     rows, begin, load = Rows(), time.perf_counter(), os.getloadavg()[0]
-    for part in (closed_loop, controller_step, allocation, threads):
-        part(rows)
+    for part in options.only:
+        PARTS[part](rows)
     versions = f"Python {platform.python_version()}, MuJoCo {mujoco.__version__}, NumPy {np.__version__}"
     taken = f"load {load:.1f} before, {os.getloadavg()[0]:.1f} after, {time.perf_counter() - begin:.0f} s"
     rows.table.caption = f"median and range of {SETS} best-ofs; {versions}; {platform.machine()}; {taken}"
-    Console(width=None if sys.stdout.isatty() else 130).print(rows.table)
+    Console(width=None if sys.stdout.isatty() else 130).print(rows.table, *rows.more)
     if options.json:
         about = {"versions": versions, "machine": platform.machine(), "run": taken, "missed": rows.missed}
         options.json.write_text(json.dumps({**about, "results": rows.results}, indent=1) + "\n")

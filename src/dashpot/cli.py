@@ -65,6 +65,8 @@ class Simulate:
         tuple[str, ...], tyro.conf.arg(metavar="JOINT [JOINT ...]", help_behavior_hint="(default: none)")
     ] = ()
     """Joints whose virtual passive control is bypassed: their position loop acts alone."""
+    tap: Annotated[float, tyro.conf.arg(metavar="N_M")] = 0.0
+    """Knock the last link at time 0 with this torque for about 10 ms [N m]."""
     seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """Seed of motion and sensor noise."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/simulate")
@@ -77,8 +79,59 @@ class Simulate:
         return simulate(self)
 
 
+@dataclass
+class Certify:
+    """Certify that no payload, pose or contact can make the joints oscillate; exit status 0 only then.
+
+    Needs the drives only, no model of the arm.
+    """
+
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
+    """Robot TOML, or k807, fr3, iiwa14."""
+    controller: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CONTROLLER")]
+    """Controller TOML, or k807-wrist, k807-resonant, fr3, iiwa14."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print the verdicts as JSON and draw nothing unless a folder is given."""
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: out/certify)")
+    ] = None
+    """Folder for a picture per joint, certificate.json and a test bench for every load that oscillates."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from dashpot.commands.certify import certify
+
+        return certify(self)
+
+
+@dataclass
+class Map:
+    """Map the certificate over R and D around a controller's gains."""
+
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
+    """Robot TOML, or k807, fr3, iiwa14."""
+    controller: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CONTROLLER")]
+    """Controller TOML, or k807-wrist, k807-resonant, fr3, iiwa14."""
+    joint: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="JOINT [JOINT ...]", help_behavior_hint="(default: all)")
+    ] = ()
+    """Joints to map."""
+    points: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 200
+    """Values of R and of D, three decades of each."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/map")
+    """Folder for a picture and the numbers (.npz) per joint; replaced as a whole."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from dashpot.commands.certify import map_gains
+
+        return map_gains(self)
+
+
 Command = (
     Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
+    | Annotated[Certify, tyro.conf.subcommand("certify")]
+    | Annotated[Map, tyro.conf.subcommand("map")]
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
 )
 
@@ -113,7 +166,7 @@ def _tidy_stop() -> Iterator[None]:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Entry point; exits 0 on success, 1 where a verdict fails or the simulation diverges, 2 on bad input.
+    """Entry point; exits 0 on success, 1 where a verdict is no or the simulation diverges, 2 on bad input.
 
     Ctrl-C exits 130, SIGTERM 143.
     """

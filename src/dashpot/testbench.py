@@ -17,6 +17,7 @@ from dashpot.controller import ControllerConfig, JointGains
 from dashpot.drive import Drive, InnerLoop, Servo
 from dashpot.recording import Recording
 from dashpot.sampled import Floats
+from dashpot.trajectory import Trajectory, hold
 
 POINT_MASS = 1e-9  # share of a pendulum's inertia that is about its own centre; the engine wants some
 KNOCK = 0.01  # [s]
@@ -128,10 +129,11 @@ def _mjcf(joint: str, load: Load) -> str:
 """
 
 
-def tap(ticks: int, joints: int, period: float, torque: float) -> Floats:
-    """External torque (ticks, joints) that knocks the last link for the first `KNOCK` seconds [N m]."""
-    external = np.zeros((ticks, joints))
-    external[: max(1, round(KNOCK / period)), -1] = torque
+def tap(path: Trajectory, joints: int, torque: float) -> Floats:
+    """External torque (ticks, joints) that knocks the last link for `KNOCK` seconds from time 0 on [N m]."""
+    external = np.zeros((len(path.position), joints))
+    first = max(0, round(-path.start / path.period))
+    external[first : first + max(1, round(KNOCK / path.period)), -1] = torque
     return external
 
 
@@ -166,7 +168,6 @@ def replay(robot: Path, controller: Path, expected: Counterexample, cycles: floa
     from dashpot.plant import build
     from dashpot.robot import Robot
     from dashpot.simulate import Scenario, run
-    from dashpot.trajectory import hold
 
     arm, config = Robot.load(robot), ControllerConfig.load(controller)
     drive, gains, period, inertia = arm.drives[0], config.joints[0], config.period, expected.load.inertia
@@ -184,7 +185,7 @@ def replay(robot: Path, controller: Path, expected: Counterexample, cycles: floa
         build(arm, period),
         Controller.from_config(config, arm.drives),
         path,
-        external=tap(len(path.position), 1, period, knock),
+        external=tap(path, 1, knock),
     )
     recording = run(scenario)
     hot = np.flatnonzero(~(np.abs(recording.command[:, 0]) < HOT * drive.torque_limit))
@@ -213,3 +214,11 @@ def strongest(signal: Floats, period: float) -> tuple[float, float]:
     energy = (np.abs(powers * amplitudes) ** 2).sum(0) * (np.abs(np.angle(roots)) > 1e-3)
     best = roots[energy.argmax()]
     return float(abs(np.angle(best)) / (2 * np.pi * period)), float(np.log(abs(best)) / period)
+
+
+def suggested_tap(drive: Drive, expected: Counterexample) -> float:
+    """A knock that shows an oscillation without reaching the torque limit at once [N m]."""
+    inertia, omega = expected.load.inertia, 2 * math.pi * max(expected.frequency, 1e-3)
+    torque = max(0.05 * drive.torque_limit, 5 * drive.coulomb_friction)
+    speed = torque / min(inertia * omega, math.sqrt(drive.stiffness * drive.rotor_inertia))
+    return inertia * speed / KNOCK

@@ -100,15 +100,24 @@ def certify(robot: Robot, config: ControllerConfig) -> Certificate:
     Raises:
         InputError: A joint of the controller is not one of the robot.
     """
-    drives = {drive.name: drive for drive in robot.drives}
-    for gains in config.joints:
-        if gains.name not in drives:
+    joints = tuple(certify_joint(drive, gains, config) for drive, gains in paired(robot, config))
+    controlled = {joint.name for joint in joints}
+    return Certificate(robot.name, joints, tuple(name for name in robot.joints if name not in controlled))
+
+
+def paired(robot: Robot, config: ControllerConfig) -> list[tuple[Drive, JointGains]]:
+    """Drive and gains of every controlled joint, base to tip.
+
+    Raises:
+        InputError: A joint of the controller is not one of the robot.
+    """
+    gains = {joint.name: joint for joint in config.joints}
+    for name in gains:
+        if name not in robot.joints:
             raise InputError(
-                f"the robot has no such joint; it has {', '.join(drives)}", file=config.file, joint=gains.name
+                f"the robot has no such joint; it has {', '.join(robot.joints)}", file=config.file, joint=name
             )
-    by_name = {gains.name: gains for gains in config.joints}
-    joints = tuple(certify_joint(drives[n], by_name[n], config) for n in robot.joints if n in by_name)
-    return Certificate(robot.name, joints, tuple(name for name in robot.joints if name not in by_name))
+    return [(drive, gains[drive.name]) for drive in robot.drives if drive.name in gains]
 
 
 def certify_joint(drive: Drive, gains: JointGains, config: ControllerConfig) -> JointCertificate:

@@ -32,7 +32,8 @@ class Index:
     Attributes:
         value: Largest level with ``Re G >= level`` at all frequencies, to `RESOLUTION` from below
             [N m s/rad]; -inf: the joint itself is unstable.
-        frequency: Where it is attained [Hz], folded into 0 to half the sample rate.
+        frequency: Where it is attained [Hz], folded into 0 to half the sample rate; half the sample rate
+            where it is the transmission's damping, approached at ever higher frequencies.
         intervals: Sub-intervals N at which the lifted port agrees.
         remainder: What the index at N lies above the limit [N m s/rad].
         decided: Whether a storage function was found at ``value`` and the grid agrees with it.
@@ -94,6 +95,8 @@ def passivity_index(
     tolerance = 10 * RESOLUTION * max(abs(lowest), 1e-3 * drive.damping) + 1e-12 * joint.units[-1]
     if remainder < -tolerance:
         proven, reason = False, f"grid and exact test disagree by {-remainder:.3g} N m s/rad"
+    if lowest >= (1 - 3 * RESOLUTION) * drive.damping:
+        angle = np.pi
     if joint.speed_in_sample:
         proven, reason = False, SPEED_IN_SAMPLE
     return Index(

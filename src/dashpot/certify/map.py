@@ -22,7 +22,7 @@ from scipy.ndimage import label
 
 from dashpot.certify.exact import at_rest
 from dashpot.certify.index import unfit
-from dashpot.certify.joint import SampledJoint, sampled_joint, scaled
+from dashpot.certify.joint import SampledJoint, Scales, sampled_joint, scaled
 from dashpot.certify.loads import GROWS, loops
 from dashpot.certify.port import one_period
 from dashpot.drive import Drive
@@ -40,6 +40,8 @@ from dashpot.sampled import (
 INTERVALS = 32
 ANGLES = np.concatenate([np.geomspace(1e-4, 0.1, 28), np.linspace(0.11, np.pi, 84)])
 LEVELS = 40  # on each side of zero
+LOADS = np.geomspace(1 / 30, 300, 28)  # inertias tried, relative to the rotor's
+NOMINAL = Scales()
 BatchBlocks = NDArray[np.void]
 
 
@@ -88,8 +90,10 @@ def _listening(kp: float, kd: float) -> NDArray[np.void]:
     return block
 
 
-def _discs(drive: Drive, kp: float, kd: float, sampling: str, period: float, levels: Floats) -> _Discs:
-    joint = sampled_joint(drive, _listening(kp, kd), sampling, period)
+def _discs(
+    drive: Drive, kp: float, kd: float, sampling: str, period: float, levels: Floats, scales: Scales
+) -> _Discs:
+    joint = sampled_joint(drive, _listening(kp, kd), sampling, period, scales)
     moves, jump, held = one_period(joint, INTERVALS), scaled(joint)[3], len(joint.flow) - 1
     sample = jump[held] * joint.units[held]  # [N m] from the state before the tick
     silent = jump.copy()
@@ -152,7 +156,7 @@ def index_map(
     R: Floats,
     D: Floats,
     *,
-    inertias: Floats | None = None,
+    scales: Scales = NOMINAL,
     tried: int = 48,
 ) -> IndexMap:
     """Maps the index over R and D.
@@ -165,11 +169,11 @@ def index_map(
         period: [s].
         R: (nr,) [-].
         D: (nd,) [N m s/rad].
-        inertias: Loads to try [kg m^2]; None: 28 from a thirtieth of the rotor's inertia to 300 times it.
-        tried: About how many values of R and of D the loads are tried at.
+        scales: Departures of torque and position channel from nominal; the latency is that of the blocks.
+        tried: About how many values of R and of D `LOADS` are tried at; 0: none.
     """
     levels = _levels(drive)
-    discs = _discs(drive, *loop, sampling, period, levels)
+    discs = _discs(drive, *loop, sampling, period, levels, scales)
     blocks = np.empty(len(D) * len(R), BLOCK_DTYPE)
     for i, (d, r) in enumerate(itertools.product(D, R)):
         blocks[i] = block(r, d)
@@ -178,7 +182,7 @@ def index_map(
 
     def joint_at(i: int, j: int) -> SampledJoint:
         whole = add_position_loop(blocks[i * len(R) + j], *loop)
-        return sampled_joint(drive, whole, sampling, period)
+        return sampled_joint(drive, whole, sampling, period, scales)
 
     # Where the form is positive no eigenvalue of the held joint can cross the unit circle: one exact look at
     # every connected region is enough.
@@ -190,8 +194,7 @@ def index_map(
             index[regions == region] = -np.inf
     rows = np.unique(np.linspace(0, len(D) - 1, tried).round().astype(int))
     columns = np.unique(np.linspace(0, len(R) - 1, tried).round().astype(int))
-    if inertias is None:
-        inertias = np.geomspace(1 / 30, 300, 28) * drive.rotor_inertia
+    inertias = LOADS * drive.rotor_inertia
     oscillates = np.zeros((len(rows), len(columns)), bool)
     flows = None
     for a, i in enumerate(rows):

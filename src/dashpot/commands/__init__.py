@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import mujoco
-
 
 def quiet_engine() -> None:
     """Keeps MuJoCo from writing MUJOCO_LOG.TXT into the current folder; a divergence is reported anyway."""
+    import mujoco
+
     mujoco.set_mju_user_warning(lambda _: None)

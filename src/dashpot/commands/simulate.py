@@ -18,6 +18,7 @@ from dashpot.plots import save
 from dashpot.recording import Recording
 from dashpot.robot import MAX_ANGLE, Robot
 from dashpot.simulate import Event, Scenario, run
+from dashpot.testbench import tap
 from dashpot.trajectory import Trajectory, hold, multisine
 
 if TYPE_CHECKING:
@@ -51,11 +52,13 @@ def simulate(options: Simulate) -> int:
             )
         events.append(Event(options.release, "all", "position_loop", False))
     with whole_folder(options.out) as folder:
-        recording = _run(Scenario(plant, controller, path, events, seed=options.seed))
+        external = tap(path, len(robot.drives), options.tap) if options.tap else None
+        recording = _run(Scenario(plant, controller, path, events, external, options.seed))
         recording.settings |= {
             "controller": str(options.controller),
             "payload_kg": options.payload,
             "offset_m": payload.position.tolist(),
+            "tap_nm": options.tap,
         }
         recording.save(folder / "recording.npz")
         save(draw(recording, controller, options), folder / "simulate")
@@ -67,6 +70,8 @@ def _check(options: Simulate) -> None:
     offset = _offset(options)
     if not np.isfinite(offset).all():
         raise InputError("must be finite", quantity="--offset [m]", value=offset)
+    if not math.isfinite(options.tap):
+        raise InputError("must be finite", quantity="--tap [N m]", value=options.tap)
     for key, unit, low, high in (
         ("payload", "kg", 0.0, math.inf),
         ("amplitude", "rad", 0.0, MAX_ANGLE),

@@ -1,0 +1,122 @@
+"""``dashpot certify`` and ``dashpot map``."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from dashpot.certify.certificate import Certificate, JointCertificate, certify_joint, paired
+from dashpot.controller import ControllerConfig, JointGains, load_controller
+from dashpot.drive import Drive
+from dashpot.errors import InputError
+from dashpot.output import whole_folder
+from dashpot.robot import Robot
+from dashpot.testbench import write
+
+if TYPE_CHECKING:
+    from dashpot.cli import Certify, Map
+
+POINTS = 44  # of R and of D in the picture of a certificate
+MOST_POINTS = 1000
+OUT = Path("out/certify")
+
+
+def certify(options: Certify) -> int:
+    """``dashpot certify``; returns the exit status: 1 unless every joint is certified."""
+    robot, config = Robot.load(options.robot), load_controller(options.controller)
+    pairs = paired(robot, config)
+    out = options.out or (None if options.json else OUT)
+    with _progress("certifying", len(pairs) * (1 if out is None else 2)) as advance:
+        joints = []
+        for drive, gains in pairs:
+            joints.append(certify_joint(drive, gains, config))
+            advance()
+        controlled = {drive.name for drive, _ in pairs}
+        others = tuple(name for name in robot.joints if name not in controlled)
+        certificate = Certificate(robot.name, tuple(joints), others)
+        if out is not None:
+            with whole_folder(out) as folder:
+                for joint, (drive, gains) in zip(joints, pairs, strict=True):
+                    _keep(folder, joint, drive, gains, config)
+                    advance()
+                (folder / "certificate.json").write_text(_json(certificate), encoding="utf-8")
+    if options.json:
+        print(_json(certificate))
+    else:
+        from dashpot.commands.certify_view import show
+
+        show(certificate, robot, options, out)
+    return 0 if certificate.certified else 1
+
+
+def map_gains(options: Map) -> int:
+    """``dashpot map``: the picture of a certificate alone, finer."""
+    from dashpot.commands.certify_plots import draw_map, gain_map
+    from dashpot.plots import save
+
+    robot, config = Robot.load(options.robot), load_controller(options.controller)
+    if not 2 <= options.points <= MOST_POINTS:
+        raise InputError(f"must be 2 to {MOST_POINTS}", quantity="--points", value=options.points)
+    pairs = paired(robot, config)
+    known = [drive.name for drive, _ in pairs]
+    for name in options.joint:
+        if name not in known:
+            raise InputError(
+                f"not controlled; controlled: {', '.join(known)}", quantity="--joint", value=name
+            )
+    chosen = [pair for pair in pairs if not options.joint or pair[0].name in options.joint]
+    with _progress("mapping", len(chosen)) as advance, whole_folder(options.out) as folder:
+        for drive, gains in chosen:
+            found = gain_map(drive, gains, config, options.points)
+            np.savez_compressed(
+                folder / f"{file_name(drive.name)}.npz", R=found.R, D=found.D, index=found.index
+            )
+            save(draw_map(found, drive, gains, config), folder / file_name(drive.name))
+            advance()
+    console = Console()
+    for drive, _ in chosen:
+        console.print(
+            f"{drive.name}: {options.points} x {options.points} gains; open "
+            f"{options.out / (file_name(drive.name) + '.png')}",
+            highlight=False,
+            markup=False,
+        )
+    return 0
+
+
+def _keep(
+    folder: Path, joint: JointCertificate, drive: Drive, gains: JointGains, config: ControllerConfig
+) -> None:
+    """Writes a joint's picture and the bench on which its counter-example runs."""
+    from dashpot.commands.certify_plots import draw
+    from dashpot.plots import save
+
+    save(draw(joint, drive, gains, config, POINTS), folder / file_name(joint.name))
+    if joint.counterexample is not None:
+        write(folder / file_name(joint.name), joint.counterexample.load, drive, gains, config, joint.point)
+
+
+def file_name(joint: str) -> str:
+    """A joint's name without what a file system may refuse."""
+    return re.sub(r"[^\w.-]+", "_", joint).strip(".") or "joint"
+
+
+def _json(certificate: Certificate) -> str:
+    return json.dumps(certificate.table(), indent=2, allow_nan=False)
+
+
+@contextmanager
+def _progress(label: str, steps: int) -> Iterator[Callable[[], None]]:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+        task = bar.add_task(label, total=steps)
+        yield lambda: bar.advance(task)

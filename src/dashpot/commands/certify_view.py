@@ -1,0 +1,153 @@
+"""Tables of ``dashpot certify``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from dashpot.certify.box import DRIVE
+from dashpot.certify.certificate import STATEMENT, Certificate, JointCertificate
+from dashpot.commands.certify import file_name
+from dashpot.drive import Drive
+from dashpot.robot import Robot
+from dashpot.testbench import suggested_tap
+
+if TYPE_CHECKING:
+    from dashpot.cli import Certify
+
+SHORT = {
+    "rotor_inertia": "inertia",
+    "viscous_friction": "friction",
+    "stiffness": "stiffness",
+    "damping": "damping",
+}
+
+
+def show(certificate: Certificate, robot: Robot, options: Certify, out: Path | None) -> None:
+    """Prints verdicts, worst points, loads that oscillate, and what the certificate rests on."""
+    console = Console()
+    console.print(_table(certificate, options))
+    console.print(
+        "index: surplus of damping at the joint's port, N m s/rad; margin: worst index over that of the bare "
+        "drive; worst: over the stated uncertainty, proven positive where certified",
+        highlight=False,
+        style="dim",
+    )
+    console.print()
+    drives = {drive.name: drive for drive in robot.drives}
+    together: dict[str, list[str]] = {}  # joints with the same worst point
+    for joint in certificate.joints:
+        where = point_text(joint.box.point, drives[joint.name])
+        if joint.certified or joint.nominal.passive:
+            together.setdefault(where, []).append(escape(joint.name))
+    for where, alike in together.items():
+        console.print(f"{', '.join(alike)}: worst {where}", highlight=False)
+    for joint in certificate.joints:
+        if not joint.certified:
+            _explain(console, joint, drives[joint.name], out)
+    if certificate.others:
+        names = ", ".join(escape(name) for name in certificate.others)
+        console.print(f"{names}: left to the robot's own position loop, taken to be passive", highlight=False)
+    console.print()
+    if certificate.certified:
+        console.print("[bold green]certified[/]", highlight=False)
+    else:
+        failed = sum(not joint.certified for joint in certificate.joints)
+        console.print(
+            f"[bold red]not certified[/]: {failed} of {len(certificate.joints)} joints", highlight=False
+        )
+    console.print(STATEMENT, highlight=False, style="dim")
+    if out is not None:
+        pictures = out / f"{file_name(certificate.joints[0].name)}.png"
+        more = " and so on" if len(certificate.joints) > 1 else ""
+        console.print(f"open {escape(str(pictures))}{more}", highlight=False)
+
+
+def _table(certificate: Certificate, options: Certify) -> Table:
+    table = Table(
+        title=escape(f"{certificate.robot} under {Path(options.controller).name}"),
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+        collapse_padding=True,
+    )
+    table.add_column("joint")
+    for name in ("index", "worst", "margin", "at [Hz]"):
+        table.add_column(escape(name), justify="right", no_wrap=True)
+    table.add_column("verdict", no_wrap=True)
+    braked = any(joint.brake is not None for joint in certificate.joints)
+    if braked:
+        table.add_column("as brake, worst", no_wrap=True)
+    for joint in certificate.joints:
+        shown = joint.box.worst if joint.nominal.passive else joint.nominal
+        row = [
+            escape(joint.name),
+            number(joint.nominal.value),
+            number(joint.box.worst.value),
+            f"{joint.margin:.2g} x" if math.isfinite(joint.margin) else "-",
+            f"{shown.frequency:.3g}" if math.isfinite(shown.value) else "-",
+            "[green]certified[/]" if joint.certified else "[red]no[/]",
+        ]
+        if braked:
+            brake = joint.brake
+            if brake is None:
+                row.append("-")
+            else:
+                verdict = "[green]certified[/]" if brake.proven else "[red]no[/]"
+                row.append(f"{verdict} {number(brake.worst.value)}")
+        table.add_row(*row)
+    return table
+
+
+def _explain(console: Console, joint: JointCertificate, drive: Drive, out: Path | None) -> None:
+    console.print(f"[red]{escape(joint.name)}[/]: {escape(joint.reason)}", highlight=False)
+    load = joint.counterexample
+    if load is None:
+        console.print(
+            "  of inertias, pendulums and inertias on springs none was found that oscillates", highlight=False
+        )
+        return
+    console.print(
+        f"  {escape(str(load))}" + (", at the worst point" if joint.nominal.passive else ""), highlight=False
+    )
+    if out is not None:
+        bench = out / file_name(joint.name)
+        tap = suggested_tap(drive, load)
+        console.print(
+            f"  see it: dashpot simulate {escape(str(bench / 'robot.toml'))} "
+            f"{escape(str(bench / 'controller.toml'))} --motion hold --tap {tap:.2g}",
+            highlight=False,
+            soft_wrap=True,
+            style="dim",
+        )
+
+
+def number(value: float) -> str:
+    """An index for people."""
+    if not math.isfinite(value):
+        return "unstable"
+    return f"{value:.3g}"
+
+
+def point_text(point: Mapping[str, float], drive: Drive) -> str:
+    """A point of the box as departures from nominal: "inertia -15 %, torque gain +1 %"."""
+    parts = []
+    for name in DRIVE:
+        nominal = getattr(drive, name)
+        change = 100 * (point[name] / nominal - 1) if nominal else 0.0
+        if abs(change) >= 0.05:
+            parts.append(f"{SHORT[name]} {change:+.3g} %")
+    for name in ("torque_gain", "position_gain"):
+        change = 100 * (point[name] - 1)
+        if abs(change) >= 0.005:
+            parts.append(f"{name.replace('_', ' ')} {change:+.2g} %")
+    parts.append(f"latency {point['latency']:g}")
+    return "at nominal values, " + parts[0] if len(parts) == 1 else "at " + ", ".join(parts)

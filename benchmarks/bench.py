@@ -1,4 +1,4 @@
-"""Speed of dashpot as ratios measured in one run: closed loop, controller step, threads, certificate.
+"""Speed of dashpot as ratios measured in one run: closed loop, step, allocation, threads, certificate.
 
     python benchmarks/bench.py [--json FILE] [--check] [--only PART ...]
 
@@ -284,7 +284,7 @@ def main() -> int:
     versions = f"Python {platform.python_version()}, MuJoCo {mujoco.__version__}, NumPy {np.__version__}"
     taken = f"load {load:.1f} before, {os.getloadavg()[0]:.1f} after, {time.perf_counter() - begin:.0f} s"
     rows.table.caption = f"median and range of {SETS} best-ofs; {versions}; {platform.machine()}; {taken}"
-    Console(width=None if sys.stdout.isatty() else 130).print(rows.table, *rows.more)
+    Console(width=None if sys.stdout.isatty() else 110).print(rows.table, *rows.more)
     if options.json:
         about = {"versions": versions, "machine": platform.machine(), "run": taken, "missed": rows.missed}
         options.json.write_text(json.dumps({**about, "results": rows.results}, indent=1) + "\n")

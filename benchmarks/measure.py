@@ -24,7 +24,7 @@ class Rows:
         self.table = Table(title="dashpot benchmarks", title_justify="left")
         for name in ("what", "measured", "spread", "target", ""):
             self.table.add_column(name, justify="left" if name in ("what", "") else "right")
-        self.more: list[Table] = []  # printed after the first
+        self.more: list[Table | str] = []  # printed below the table
         self.results: dict[str, Any] = {}
         self.missed: list[str] = []
 

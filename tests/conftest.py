@@ -9,8 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import scipy.linalg  # noqa: F401 - loads the library whose threads are limited
+from threadpoolctl import threadpool_limits
 
 from dashpot.errors import InputError
+
+threadpool_limits(1, user_api="blas")  # the tests run in parallel; threads of small matrices only wait
 
 
 def toml(value: Any) -> str:

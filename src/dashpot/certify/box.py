@@ -25,15 +25,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dashpot.certify.exact import Loss, at_rest, crossings, quadratic_form, storage
+from dashpot.certify.exact import Loss, at_rest, crossings, positive, quadratic_form
 from dashpot.certify.index import Index, passivity_index, unfit
 from dashpot.certify.joint import DEFLECTION, SPEED, SampledJoint, Scales, sampled_joint, uses
+from dashpot.certify.threads import one_thread
 from dashpot.drive import Drive
 from dashpot.sampled import POSITION, VELOCITY
 
@@ -114,11 +115,19 @@ class BoxCertificate:
 
 def at(drive: Drive, point: Mapping[str, float]) -> tuple[Drive, Scales]:
     """Drive and signal path at a point of the box."""
-    changes: dict[str, Any] = {name: point[name] for name in DRIVE if name in point}
     scales = Scales(point["torque_gain"], point["position_gain"], int(point["latency"]))
-    return replace(drive, uncertainty={}, **changes), scales
+    return _varied(drive, {name: point[name] for name in DRIVE if name in point}), scales
 
 
+def _varied(drive: Drive, changes: Mapping[str, float]) -> Drive:
+    """A copy with other values, without the checks that are meant for what a user writes."""
+    varied = copy(drive)
+    for name, value in {**changes, "uncertainty": {}}.items():
+        object.__setattr__(varied, name, value)
+    return varied
+
+
+@one_thread
 def certify_box(
     drive: Drive, block: NDArray[np.void], sampling: str, period: float, latency_max: int | None = None
 ) -> BoxCertificate:
@@ -219,7 +228,7 @@ def _proven(cell: Box, drive: Drive, block: NDArray[np.void], sampling: str, per
     (_, k), (c_low, c_high) = cell.ranges["stiffness"], cell.ranges["damping"]
     if not c_low > 0:
         return False
-    drive = replace(drive, stiffness=k * np.sqrt(c_high / c_low), damping=c_high)
+    drive = _varied(drive, {"stiffness": k * np.sqrt(c_high / c_low), "damping": c_high})
     centre = cell.centre
     names = ("rotor_inertia", "viscous_friction", "torque_gain", "position_gain", "latency")
     latencies = range(int(cell.ranges["latency"][0]), int(cell.ranges["latency"][1]) + 1)
@@ -243,7 +252,7 @@ def _proven(cell: Box, drive: Drive, block: NDArray[np.void], sampling: str, per
             if unfit(rest):
                 return False
             form = quadratic_form(joint, 0.0, rest, loss)
-            if form is None or storage(form) is None:
+            if form is None or not positive(form):
                 return False
     return True
 

@@ -11,6 +11,7 @@ from dashpot.certify.box import POINTS, BoxCertificate, at, certify_box
 from dashpot.certify.counterexample import Counterexample, counterexample
 from dashpot.certify.index import Index, passivity_index
 from dashpot.certify.joint import sampled_joint
+from dashpot.certify.threads import one_thread
 from dashpot.controller import ControllerConfig, JointGains, joint_block
 from dashpot.drive import Drive
 from dashpot.errors import InputError
@@ -120,6 +121,7 @@ def paired(robot: Robot, config: ControllerConfig) -> list[tuple[Drive, JointGai
     return [(drive, gains[drive.name]) for drive in robot.drives if drive.name in gains]
 
 
+@one_thread
 def certify_joint(drive: Drive, gains: JointGains, config: ControllerConfig) -> JointCertificate:
     """Certifies one joint of a controller file."""
     block = joint_block(gains, drive, config, file=config.file)

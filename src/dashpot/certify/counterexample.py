@@ -9,6 +9,7 @@ from scipy.optimize import minimize
 
 from dashpot.certify.joint import SPEED, SampledJoint
 from dashpot.certify.loads import GROWS, Load, loops, oscillation, radii
+from dashpot.certify.threads import one_thread
 from dashpot.drive import Drive
 from dashpot.sampled import Floats
 
@@ -50,6 +51,7 @@ def _rate(growth: float) -> str:
     return f"twofold in {doubling:.2g} s" if doubling < 1000 else f"by {growth:.1g}/s"
 
 
+@one_thread
 def counterexample(joint: SampledJoint, drive: Drive) -> Counterexample | None:
     """Searches for a load that oscillates: an inertia, else a pendulum, else an inertia on a spring.
 

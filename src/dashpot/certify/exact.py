@@ -216,6 +216,14 @@ def crossings(form: Form) -> Floats:
     return np.unique(np.abs(np.arctan2(imaginary[on_circle], real[on_circle] * np.sign(beta[on_circle]))))
 
 
+def positive(form: Form) -> bool:
+    """Whether a form is positive at all frequencies: no crossing, and a storage function.
+
+    Either alone is right but for rounding, which is not the same in both.
+    """
+    return len(crossings(form)) == 0 and storage(form) is not None
+
+
 def storage(form: Form) -> Floats | None:
     """The stabilising solution P of ``P = Q + A' P (I + G P)^-1 A``, or None where there is none.
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dashpot.certify.exact import Rest, at_rest, crossings, quadratic_form, storage
+from dashpot.certify.exact import Rest, at_rest, crossings, positive, quadratic_form
 from dashpot.certify.joint import SampledJoint, Scales, sampled_joint
 from dashpot.certify.port import Port, lift
+from dashpot.certify.threads import one_thread
 from dashpot.drive import Drive
 from dashpot.sampled import Floats
 
@@ -30,7 +31,7 @@ class Index:
     """Passivity index: the joint's surplus of damping at its port.
 
     Attributes:
-        value: Largest level with ``Re G >= level`` at all frequencies, to `RESOLUTION` from below
+        value: Largest level with ``Re G >= level`` at all frequencies, from below to twice `RESOLUTION`
             [N m s/rad]; -inf: the joint itself is unstable.
         frequency: Where it is attained [Hz], folded into 0 to half the sample rate; half the sample rate
             where it is the transmission's damping, approached at ever higher frequencies.
@@ -53,6 +54,7 @@ class Index:
         return self.decided and self.value > 0
 
 
+@one_thread
 def passivity_index(
     drive: Drive,
     block: NDArray[np.void],
@@ -89,7 +91,7 @@ def passivity_index(
     upper, angle = float(around.min()), float(near[around.argmin()])
     lowest, found = _closest_level(joint, rest, upper, angle, ports)
     form = quadratic_form(joint, lowest, rest)
-    proven = form is not None and storage(form) is not None
+    proven = form is not None and positive(form)
     angle, intervals, remainder = _confirm(joint, lowest, angle, found, ports)
     reason = "" if proven else "no storage function was found; the value is an upper bound"
     tolerance = 10 * RESOLUTION * max(abs(lowest), 1e-3 * drive.damping) + 1e-12 * joint.units[-1]
@@ -127,9 +129,7 @@ def _closest_level(
         found = crossings(form)
         return found if len(found) else None
 
-    # The error of N intervals falls as 1/N^2.
-    finer = float(ports[2 * FIRST_INTERVALS].least_damping(np.array([angle]))[0])
-    guess = min(finer - max(upper - finer, 0.0) / 3, upper, ceiling)
+    guess = min(float(_limit(ports, np.array([angle]))[0]), upper, ceiling)
     finest = RESOLUTION * max(abs(guess), 1e-3 * scale)
     if guess >= ceiling:
         above = crossed(ceiling)
@@ -164,13 +164,18 @@ def _confirm(
 ) -> tuple[float, int, float]:
     """Angle of the minimum, N at which a lifted port confirms the level, and what it is above it."""
     edges = np.concatenate([[0.0], found, [np.pi]])
-    tried = np.clip(np.concatenate([[angle], found, (edges[1:] + edges[:-1]) / 2]), 1e-6, np.pi)
+    tried = np.clip(np.concatenate([[angle], (edges[1:] + edges[:-1]) / 2]), 1e-6, np.pi)
+    tried = tried[[int(_limit(ports, tried).argmin())]]
     intervals = FIRST_INTERVALS
     while True:
-        values = (ports.get(intervals) or lift(joint, intervals)).least_damping(tried)
-        best = int(values.argmin())
-        remainder = float(values[best]) - level
+        port = ports.get(intervals) or lift(joint, intervals)
+        remainder = float(port.least_damping(tried)[0]) - level
         if remainder <= SETTLED * abs(level) or 2 * intervals > MOST_INTERVALS:
-            return float(tried[best]), intervals, remainder
-        tried = tried[[best]]
+            return float(tried[0]), intervals, remainder
         intervals *= 2
+
+
+def _limit(ports: dict[int, Port], angles: Floats) -> Floats:
+    """Least damping at some angles for N to infinity, estimated: the error of N intervals falls as 1/N^2."""
+    first, second = (ports[N].least_damping(angles) for N in (FIRST_INTERVALS, 2 * FIRST_INTERVALS))
+    return np.asarray(second - np.maximum(first - second, 0.0) / 3)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from dashpot.certify.joint import SampledJoint
+from dashpot.certify.threads import one_thread
 from dashpot.sampled import Floats
 
 GRAVITY = 9.81
@@ -81,6 +82,7 @@ def loops(joint: SampledJoint, inertia: Floats, stiffness: Floats, friction: flo
     return np.asarray(exact @ (jump * units / units[:, None]))
 
 
+@one_thread
 def radii(joint: SampledJoint, inertia: Floats, stiffness: Floats, friction: float = 0.0) -> Floats:
     """Spectral radius of the loop with each load, (k,)."""
     return np.asarray(np.abs(np.linalg.eigvals(loops(joint, inertia, stiffness, friction))).max(-1))
@@ -99,6 +101,7 @@ class Oscillation:
     growth: float
 
 
+@one_thread
 def oscillation(joint: SampledJoint, load: Load, friction: float = 0.0) -> Oscillation:
     """Fastest growing mode of the joint with one load, friction of the link [N m s/rad] included."""
     loop = loops(joint, np.array([load.inertia]), np.array([load.stiffness]), friction)[0]

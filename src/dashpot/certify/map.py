@@ -25,6 +25,7 @@ from dashpot.certify.index import unfit
 from dashpot.certify.joint import SampledJoint, Scales, sampled_joint, scaled
 from dashpot.certify.loads import GROWS, loops
 from dashpot.certify.port import one_period
+from dashpot.certify.threads import one_thread
 from dashpot.drive import Drive
 from dashpot.sampled import (
     BLOCK_DTYPE,
@@ -147,6 +148,7 @@ def response(blocks: BatchBlocks, angles: Floats) -> NDArray[np.complex128]:
     return np.asarray(command * z ** -delay[:, None].astype(float))
 
 
+@one_thread
 def index_map(
     drive: Drive,
     block: Callable[[float, float], NDArray[np.void]],

@@ -219,6 +219,16 @@ def strongest(signal: Floats, period: float) -> tuple[float, float]:
 def suggested_tap(drive: Drive, expected: Counterexample) -> float:
     """A knock that shows an oscillation without reaching the torque limit at once [N m]."""
     inertia, omega = expected.load.inertia, 2 * math.pi * max(expected.frequency, 1e-3)
-    torque = max(0.05 * drive.torque_limit, 5 * drive.coulomb_friction)
-    speed = torque / min(inertia * omega, math.sqrt(drive.stiffness * drive.rotor_inertia))
-    return inertia * speed / KNOCK
+    lightest = min(inertia * omega, math.sqrt(drive.stiffness * drive.rotor_inertia))
+    return 0.05 * drive.torque_limit / lightest * inertia / KNOCK
+
+
+def hidden(drive: Drive, gains: JointGains, expected: Counterexample) -> bool:
+    """Whether Coulomb friction may take out more than an oscillation gains, up to the torque limit.
+
+    Prediction and certificate are without it. As the law shows it, it takes (2/pi) (1 + R) tau_c |q'| on
+    average, where the oscillation gains growth J q'^2.
+    """
+    balance = 2 / math.pi * (1 + gains.R) * drive.coulomb_friction
+    torque = 0.5 * drive.torque_limit  # J omega q'
+    return balance > expected.growth * torque / (2 * math.pi * max(expected.frequency, 1e-3))

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ from dashpot.drive import Drive
 from dashpot.errors import InputError
 from dashpot.output import whole_folder
 from dashpot.robot import Robot
-from dashpot.testbench import write
+from dashpot.testbench import hidden, write
 
 if TYPE_CHECKING:
     from dashpot.cli import Certify, Map
@@ -53,7 +54,7 @@ def certify(options: Certify) -> int:
     else:
         from dashpot.commands.certify_view import show
 
-        show(certificate, robot, options, out)
+        show(certificate, pairs, options, out)
     return 0 if certificate.certified else 1
 
 
@@ -100,8 +101,10 @@ def _keep(
     from dashpot.plots import save
 
     save(draw(joint, drive, gains, config, POINTS), folder / file_name(joint.name))
-    if joint.counterexample is not None:
-        write(folder / file_name(joint.name), joint.counterexample.load, drive, gains, config, joint.point)
+    load = joint.counterexample
+    if load is not None:
+        shown = replace(drive, coulomb_friction=0.0) if hidden(drive, gains, load) else drive
+        write(folder / file_name(joint.name), load.load, shown, gains, config, joint.point)
 
 
 def file_name(joint: str) -> str:

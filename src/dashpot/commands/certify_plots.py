@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dashpot.certify.box import Box, at
-from dashpot.certify.certificate import JointCertificate
+from dashpot.certify.certificate import JointCertificate, block_of
 from dashpot.certify.joint import Scales, sampled_joint
 from dashpot.certify.loads import loops
 from dashpot.certify.map import IndexMap, index_map
-from dashpot.controller import ControllerConfig, JointGains, joint_block
+from dashpot.controller import ControllerConfig, JointGains
 from dashpot.drive import Drive
 from dashpot.plots import BLACK, BLUE, VERMILLION, Figure, new_figure
 from dashpot.sampled import Floats, VirtualPassive, virtual_passive_block
@@ -85,7 +85,7 @@ def draw(
     worst = None
     if (
         scales.latency == config.latency
-        and joint.box.point != Box.of(drive, _block(drive, gains, config)).centre
+        and joint.box.point != Box.of(drive, block_of(drive, gains, config)).centre
     ):
         worst = gain_map(
             drive, gains, config, points, there=there, scales=replace(scales, latency=None), tried=0
@@ -110,10 +110,6 @@ def _loop(gains: JointGains) -> str:
     if gains.kp == gains.kd == 0:
         return f"Brake, K = {gains.K:g}"
     return f"Tracking, kp = {gains.kp:g}, kd = {gains.kd:g}, K = {gains.K:g}"
-
-
-def _block(drive: Drive, gains: JointGains, config: ControllerConfig) -> NDArray[np.void]:
-    return joint_block(gains, drive, config, file=config.file)
 
 
 def _map(
@@ -208,7 +204,7 @@ def _window(
     axis: Any, joint: JointCertificate, drive: Drive, gains: JointGains, config: ControllerConfig
 ) -> None:
     """Damping ratio of the least damped oscillation against the load's inertia."""
-    block = _block(drive, gains, config)
+    block = block_of(drive, gains, config)
     inertias = np.maximum(LOADS * drive.rotor_inertia, drive.link_inertia)
     curves = [("nominal drive", drive, Scales(), BLUE, "-")]
     there, scales = at(drive, joint.box.point)
@@ -248,9 +244,9 @@ def damping_ratio(
     """Damping ratio and frequency [Hz] of the least damped oscillation with each inertia, (k,) each."""
     joint = sampled_joint(drive, block, config.sampling, config.period, scales)
     values = np.linalg.eigvals(loops(joint, inertias, np.zeros_like(inertias), drive.link_friction))
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         s = np.log(values.astype(complex))
-    ratio = np.where(np.abs(s.imag) > SLOWEST, -s.real / np.abs(s), np.inf)
+        ratio = np.where(np.abs(s.imag) > SLOWEST, -s.real / np.abs(s), np.inf)
     least = ratio.argmin(-1)
     rows = np.arange(len(inertias))
     found = ratio[rows, least]

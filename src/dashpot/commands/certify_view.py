@@ -15,9 +15,9 @@ from rich.table import Table
 from dashpot.certify.box import DRIVE
 from dashpot.certify.certificate import STATEMENT, Certificate, JointCertificate
 from dashpot.commands.certify import file_name
+from dashpot.controller import JointGains
 from dashpot.drive import Drive
-from dashpot.robot import Robot
-from dashpot.testbench import suggested_tap
+from dashpot.testbench import hidden, suggested_tap
 
 if TYPE_CHECKING:
     from dashpot.cli import Certify
@@ -30,7 +30,9 @@ SHORT = {
 }
 
 
-def show(certificate: Certificate, robot: Robot, options: Certify, out: Path | None) -> None:
+def show(
+    certificate: Certificate, pairs: list[tuple[Drive, JointGains]], options: Certify, out: Path | None
+) -> None:
     """Prints verdicts, worst points, loads that oscillate, and what the certificate rests on."""
     console = Console()
     console.print(_table(certificate, options))
@@ -41,17 +43,16 @@ def show(certificate: Certificate, robot: Robot, options: Certify, out: Path | N
         style="dim",
     )
     console.print()
-    drives = {drive.name: drive for drive in robot.drives}
     together: dict[str, list[str]] = {}  # joints with the same worst point
-    for joint in certificate.joints:
-        where = point_text(joint.box.point, drives[joint.name])
+    for joint, (drive, _) in zip(certificate.joints, pairs, strict=True):
+        where = point_text(joint.box.point, drive)
         if joint.certified or joint.nominal.passive:
             together.setdefault(where, []).append(escape(joint.name))
     for where, alike in together.items():
         console.print(f"{', '.join(alike)}: worst {where}", highlight=False)
-    for joint in certificate.joints:
+    for joint, (drive, gains) in zip(certificate.joints, pairs, strict=True):
         if not joint.certified:
-            _explain(console, joint, drives[joint.name], out)
+            _explain(console, joint, drive, gains, out)
     if certificate.others:
         names = ", ".join(escape(name) for name in certificate.others)
         console.print(f"{names}: left to the robot's own position loop, taken to be passive", highlight=False)
@@ -107,7 +108,9 @@ def _table(certificate: Certificate, options: Certify) -> Table:
     return table
 
 
-def _explain(console: Console, joint: JointCertificate, drive: Drive, out: Path | None) -> None:
+def _explain(
+    console: Console, joint: JointCertificate, drive: Drive, gains: JointGains, out: Path | None
+) -> None:
     console.print(f"[red]{escape(joint.name)}[/]: {escape(joint.reason)}", highlight=False)
     load = joint.counterexample
     if load is None:
@@ -120,10 +123,12 @@ def _explain(console: Console, joint: JointCertificate, drive: Drive, out: Path 
     )
     if out is not None:
         bench = out / file_name(joint.name)
-        tap = suggested_tap(drive, load)
+        how = ""
+        if hidden(drive, gains, load):
+            how = " (there without Coulomb friction, which hides growth this slow)"
         console.print(
-            f"  see it: dashpot simulate {escape(str(bench / 'robot.toml'))} "
-            f"{escape(str(bench / 'controller.toml'))} --motion hold --tap {tap:.2g}",
+            f"  see it{how}: dashpot simulate {escape(str(bench / 'robot.toml'))} "
+            f"{escape(str(bench / 'controller.toml'))} --motion hold --tap {suggested_tap(drive, load):.2g}",
             highlight=False,
             soft_wrap=True,
             style="dim",

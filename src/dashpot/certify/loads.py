@@ -49,6 +49,7 @@ class Load:
         return f"inertia of {self.inertia:.3g} kg m^2{spring}"
 
 
+@one_thread
 def loops(joint: SampledJoint, inertia: Floats, stiffness: Floats, friction: float = 0.0) -> Floats:
     """Transition over one period of the joint with each of k loads: (k, size + 2, size + 2), scaled.
 

@@ -13,6 +13,7 @@ from dashpot.certify.certificate import JointCertificate, block_of
 from dashpot.certify.joint import Scales, sampled_joint
 from dashpot.certify.loads import loops
 from dashpot.certify.map import IndexMap, index_map
+from dashpot.certify.threads import one_thread
 from dashpot.controller import ControllerConfig, JointGains
 from dashpot.drive import Drive
 from dashpot.plots import BLACK, BLUE, VERMILLION, Figure, new_figure
@@ -238,6 +239,7 @@ def _window(
         )
 
 
+@one_thread
 def damping_ratio(
     drive: Drive, block: NDArray[np.void], config: ControllerConfig, inertias: Floats, scales: Scales
 ) -> tuple[Floats, Floats]:

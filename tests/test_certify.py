@@ -176,6 +176,28 @@ def test_storage_function_balances_energy():
         x = after
 
 
+def test_a_slow_virtual_spring_does_not_fool_the_storage_function():
+    """Its pole, K h/D from z = 1, makes a Riccati residual of 1e-7 look like a solution."""
+    drive = Drive(
+        "j",
+        rotor_inertia=1.5457450483168422,
+        viscous_friction=10.907275625097746,
+        stiffness=2979.628470988445,
+        damping=3.3082380223500736,
+        torque_limit=87,
+    )
+    law = VirtualPassive(
+        0.4111786660920488, 3.1395954171263805, 0.0032077247287847356, drive.rotor_inertia, 0.3
+    )
+    block = add_position_loop(
+        virtual_passive_block(law, 0.001, "implicit"), 180.73094081982808, 0.0944613103181006
+    )
+    joint = sampled_joint(drive, block, "average", 0.001)
+    assert lift(joint, 8).least_damping(np.geomspace(1e-5, 1, 400)).min() < -0.01
+    assert storage(quadratic_form(joint, 0.0, at_rest(joint))) is None
+    assert not passivity_index(drive, block, "average", 0.001).passive
+
+
 @given(scale=st.floats(0.02, 50), slower=st.floats(0.3, 3))
 def test_units_scale_the_index(scale, slower):
     """Torque in another unit scales the index; time in another unit, with everything else, too."""

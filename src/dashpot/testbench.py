@@ -22,8 +22,8 @@ from dashpot.trajectory import Trajectory, hold
 POINT_MASS = 1e-9  # share of a pendulum's inertia that is about its own centre; the engine wants some
 KNOCK = 0.01  # [s]
 HOT = 0.5  # of the torque limit, where watching ends
-STUCK = 8.0  # of the friction the law shows, the least knock
-LONGEST = 400_000  # ticks of a replay
+KNOCKS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # of the torque limit, estimated from above
+CYCLES, SAMPLED, LONGEST = 8, 32, 120.0  # watched; samples of a cycle; [s]
 FEWEST, MODES = 12, 6  # samples, modes
 
 
@@ -152,17 +152,16 @@ class Replay:
     recording: Recording
 
 
-def replay(robot: Path, controller: Path, expected: Counterexample, cycles: float = 8.0) -> Replay:
-    """Knocks the load of a written bench and watches the oscillation grow.
+def replay(robot: Path, controller: Path, expected: Counterexample) -> Replay:
+    """Knocks the load of a written bench and watches the oscillation before anything saturates.
 
-    Friction, limits and sensor noise act. The knock is as small as leaves some cycles until half the torque
-    limit is reached, and large enough for friction not to hold the joint.
+    Friction, limits and sensor noise act. Friction damps a small oscillation more than a large one: where a
+    knock dies out, a harder one follows, up to `KNOCKS` of the torque limit.
 
     Args:
         robot: As `write` wrote it.
         controller: As `write` wrote it.
         expected: What was predicted.
-        cycles: To watch.
     """
     from dashpot.controller import Controller
     from dashpot.plant import build
@@ -170,28 +169,27 @@ def replay(robot: Path, controller: Path, expected: Counterexample, cycles: floa
     from dashpot.simulate import Scenario, run
 
     arm, config = Robot.load(robot), ControllerConfig.load(controller)
-    drive, gains, period, inertia = arm.drives[0], config.joints[0], config.period, expected.load.inertia
+    drive, load, period = arm.drives[0], expected.load, config.period
     omega = 2 * math.pi * expected.frequency
-    least = max(
-        STUCK * (1 + gains.R) * drive.coulomb_friction, 20 * drive.torque_noise, 1e-3 * drive.torque_limit
-    )
-    room = HOT * drive.torque_limit * math.exp(-cycles * expected.growth / expected.frequency)
-    torque = min(max(room, least), 0.2 * drive.torque_limit)  # of the first cycle
-    speed = torque / min(inertia * omega, math.sqrt(drive.stiffness * drive.rotor_inertia))
-    duration = min(max(3 * cycles / expected.frequency, 8 / expected.growth), LONGEST * period)
-    path = hold([0.0], duration, period)
-    knock = inertia * speed / (max(1, round(KNOCK / period)) * period)
-    scenario = Scenario(
-        build(arm, period),
-        Controller.from_config(config, arm.drives),
-        path,
-        external=tap(path, 1, knock),
-    )
-    recording = run(scenario)
-    hot = np.flatnonzero(~(np.abs(recording.command[:, 0]) < HOT * drive.torque_limit))
-    last = int(hot[0]) if len(hot) else len(path.position)
-    first = max(round(KNOCK / period) + 1, last - math.ceil(cycles / (expected.frequency * period)))
-    frequency, rate = strongest(recording.torque[first:last, 0], period)
+    # Torque per speed: of the load, swinging; of the transmission, at the knock.
+    swinging = abs(load.inertia * omega - load.stiffness / omega)
+    stiff = max(swinging, math.sqrt(drive.stiffness * drive.rotor_inertia))
+    path = hold([0.0], min(max(3 * CYCLES / expected.frequency, 8 / expected.growth), LONGEST), period)
+    plant = build(arm, period)
+    every = max(1, round(1 / (expected.frequency * period * SAMPLED)))
+    room = HOT * math.exp(-CYCLES * expected.growth / expected.frequency)
+    for share in (room, *KNOCKS):
+        if share < room:
+            continue
+        speed = share * drive.torque_limit / stiff
+        external = tap(path, 1, load.inertia * speed / (max(1, round(KNOCK / period)) * period))
+        recording = run(Scenario(plant, Controller.from_config(config, arm.drives), path, external=external))
+        hot = np.flatnonzero(~(np.abs(recording.command[:, 0]) < HOT * drive.torque_limit))
+        last = int(hot[0]) if len(hot) else len(path.position)
+        first = max(round(KNOCK / period) + 1, last - math.ceil(CYCLES / (expected.frequency * period)))
+        frequency, rate = strongest(recording.torque[first:last:every, 0], period * every)
+        if rate > 0:
+            break
     return Replay(frequency, rate, recording)
 
 

@@ -29,7 +29,7 @@ from dashpot.sampled import Floats
 CIRCLE = 1e-6  # distance from the unit circle within which an eigenvalue may lie on it
 SHORT = 1.2  # fastest eigenvalue times the first step: below pi/2 there is no conjugate point in it
 DOUBLINGS = 40
-RESIDUAL = 1e-6  # of the Riccati equation, relative
+RESIDUAL = 1e-11  # of the Riccati equation, relative; sound solutions stay below 2e-12
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,11 @@ SPEED_IN_SAMPLE = (
     "point samples without a sensor filter also contain the link's velocity, which no finite index covers "
     "(the value leaves it out): average the torque over the period, or filter it"
 )
-GRID = np.concatenate([np.geomspace(1e-4, 0.08, 20), np.linspace(0.1, np.pi, 28)])
+GRID = np.concatenate(
+    [np.geomspace(1e-7, 1e-4, 5)[:-1], np.geomspace(1e-4, 0.08, 20), np.linspace(0.1, np.pi, 28)]
+)
+BOTTOM = 1e6  # how far below the grid's value the exact test is followed, relative
+LOWER = (0, 2, 20)  # steps of RESOLUTION below the level found at which a storage function is sought
 
 
 @dataclass(frozen=True)
@@ -90,8 +94,13 @@ def passivity_index(
     around = coarse.least_damping(near)
     upper, angle = float(around.min()), float(near[around.argmin()])
     lowest, found = _closest_level(joint, rest, upper, angle, ports)
-    form = quadratic_form(joint, lowest, rest)
-    proven = form is not None and positive(form)
+    proven = False
+    for steps in LOWER:  # rounding may hide the storage function just below the limit
+        level = lowest - steps * RESOLUTION * abs(lowest)
+        form = quadratic_form(joint, level, rest)
+        if form is not None and positive(form):
+            proven, lowest = True, level
+            break
     angle, intervals, remainder = _confirm(joint, lowest, angle, found, ports)
     reason = "" if proven else "no storage function was found; the value is an upper bound"
     tolerance = 10 * RESOLUTION * max(abs(lowest), 1e-3 * drive.damping) + 1e-12 * joint.units[-1]
@@ -145,6 +154,8 @@ def _closest_level(
         high, above = low, found
         step *= 4
         low -= step
+        if low < upper - BOTTOM * max(abs(upper), scale):  # a pole of the controller all but on the circle
+            return upper, np.zeros(0)
     trial = low + 2 * finest
     for _ in range(ROUNDS):  # and up again
         if high - low <= 2 * RESOLUTION * max(abs(low), 1e-3 * scale) or trial >= ceiling:

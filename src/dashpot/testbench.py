@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -64,7 +66,7 @@ def write(
     model, robot, controller = (folder / name for name in ("bench.xml", "robot.toml", "controller.toml"))
     model.write_text(_mjcf(drive.name, load), encoding="utf-8")
     robot.write_text(
-        f'# {drive.name} with a load: {load}\nname = "bench"\nmodel = "bench.xml"\nhome = [0.0]\n\n'
+        f'# One joint with a load: {load}\nname = "bench"\nmodel = "bench.xml"\nhome = [0.0]\n\n'
         f"[[joint]]\n{_toml(actual)}",
         encoding="utf-8",
     )
@@ -95,8 +97,7 @@ def _toml(record: Drive | JointGains) -> str:
             )
             lines.append(f"{f.name} = {{ {inner} }}")
         elif isinstance(value, str):
-            quoted = value.replace("\\", "\\\\").replace('"', '\\"')
-            lines.append(f'{f.name} = "{quoted}"')
+            lines.append(f"{f.name} = {json.dumps(value, ensure_ascii=False)}")  # a TOML string as well
         else:
             lines.append(f"{f.name} = {value if isinstance(value, int) else float(value)!r}")
     return "\n".join(lines) + "\n"
@@ -114,13 +115,12 @@ def _mjcf(joint: str, load: Load) -> str:
         mass, own = load.stiffness / (GRAVITY * reach), load.inertia / 2
     mass, reach, own = float(mass), float(reach), float(own)
     shown = min(max(reach, 0.02), 1.0)
-    escaped = joint.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
     return f"""<mujoco model="bench">
   <compiler angle="radian"/>
   <option gravity="0 0 -{GRAVITY!r}"/>
   <worldbody>
     <body name="load">
-      <joint name="{escaped}" type="hinge" axis="0 1 0"/>
+      <joint name={quoteattr(joint, {chr(10): "&#10;"})} type="hinge" axis="0 1 0"/>
       <inertial pos="0 0 {-reach!r}" mass="{mass!r}" diaginertia="{own!r} {own!r} {own!r}"/>
       <geom type="capsule" fromto="0 0 0 0 0 {-shown!r}" size="0.01" contype="0" conaffinity="0"/>
     </body>

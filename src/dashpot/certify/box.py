@@ -175,9 +175,13 @@ def worst_point(
     def below(point: Mapping[str, float], level: float) -> bool:
         there, scales = at(drive, point)
         joint = sampled_joint(there, block, sampling, period, scales)
-        rest = at_rest(joint)
-        form = None if unfit(rest) else quadratic_form(joint, level - there.link_friction, rest)
-        return form is None or len(crossings(form)) > 0
+        with np.errstate(all="ignore"):
+            try:
+                rest = at_rest(joint)
+                form = None if unfit(rest) else quadratic_form(joint, level - there.link_friction, rest)
+                return form is None or len(crossings(form)) > 0
+            except (np.linalg.LinAlgError, ValueError):  # not finite somewhere: let the index say it
+                return True
 
     point = box.centre | {"latency": float(block["latency"])}
     worst = index(point)
@@ -248,12 +252,14 @@ def _proven(cell: Box, drive: Drive, block: NDArray[np.void], sampling: str, per
                 corner["viscous_friction"] - centre["viscous_friction"],
                 1 - centre["position_gain"] / corner["position_gain"],
             )
-            rest = at_rest(joint)
-            if unfit(rest):
-                return False
-            form = quadratic_form(joint, 0.0, rest, loss)
-            if form is None or not positive(form):
-                return False
+            with np.errstate(all="ignore"):
+                try:
+                    rest = at_rest(joint)
+                    form = None if unfit(rest) else quadratic_form(joint, 0.0, rest, loss)
+                    if form is None or not positive(form):
+                        return False
+                except (np.linalg.LinAlgError, ValueError):  # not finite somewhere
+                    return False
     return True
 
 

@@ -20,15 +20,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.linalg.lapack import dgeev, dgesv, dggev
 
-from dashpot.certify.joint import SampledJoint, scaled
+from dashpot.certify.joint import DEFLECTION, SPEED, SampledJoint, scaled
 from dashpot.sampled import Floats
 
 CIRCLE = 1e-6  # distance from the unit circle within which an eigenvalue may lie on it
 SHORT = 1.2  # fastest eigenvalue times the first step: below pi/2 there is no conjugate point in it
 DOUBLINGS = 40
+RINGS = 0.9  # modulus above which a pole is looked around on the grid
 RESIDUAL = 1e-11  # of the Riccati equation, relative; sound solutions stay below 2e-12
 
 
@@ -40,11 +42,15 @@ class Form:
         A: A J, (n, n).
         G: (n, n), positive semidefinite.
         Q: J' H J, (n, n).
+        power: Unit of energy [J].
+        spring: The energy ``spring deflection^2 / 2`` is counted apart [J].
     """
 
     A: Floats
     G: Floats
     Q: Floats
+    power: float
+    spring: float
 
 
 def _solve(a: Floats, b: Floats) -> Floats:
@@ -72,12 +78,14 @@ class Rest:
 
     Attributes:
         radius: Largest modulus of an eigenvalue other than that of the equilibria.
+        poles: Those eigenvalues that ring, without conjugates.
         shape: Equilibrium with the link displaced, (size,), scaled; None without a position loop.
-        momentum: What it is conjugate to, (size,), scaled.
+        momentum: What it is conjugate to, (size,) [J], states scaled.
         stiffness: Of the position loop at rest, seen from the link [N m/rad].
     """
 
     radius: float
+    poles: NDArray[np.complex128]
     shape: Floats | None = None
     momentum: Floats | None = None
     stiffness: float = 0.0
@@ -86,17 +94,18 @@ class Rest:
 def at_rest(joint: SampledJoint) -> Rest:
     """Analyses the joint with its link held."""
     A = held(joint)
-    values = np.sort(np.abs(np.linalg.eigvals(A)))
-    if joint.position is None:
-        return Rest(float(values[-1]))
-    values = np.linalg.eigvals(A)
-    at_one = int(np.abs(values - 1).argmin())
-    if abs(values[at_one] - 1) > 1e-6:
-        return Rest(float(np.abs(values).max()))
-    rest = float(np.abs(np.delete(values, at_one)).max())
+    values = np.linalg.eigvals(A).astype(complex)
+    if joint.position is not None:
+        at_one = int(np.abs(values - 1).argmin())
+        settles = bool(abs(values[at_one] - 1) <= 1e-6)
+        values = np.delete(values, at_one) if settles else values
+    size = np.abs(values)
+    radius, poles = float(size.max()), values[(size > RINGS) & (values.imag >= 0)]
+    if joint.position is None or not settles:
+        return Rest(radius, poles)
     left, sizes, right = np.linalg.svd(A - np.eye(len(A)))
     if sizes[-2] < 1e-12 * sizes[0]:
-        return Rest(np.inf)
+        return Rest(np.inf, poles)
     shape, momentum = right[-1], left[:, -1]
     F, b, t, jump = scaled(joint)
     after = (jump @ shape)[: len(F)]
@@ -104,9 +113,8 @@ def at_rest(joint: SampledJoint) -> Rest:
     torque = float(t @ after)
     slope = float(b @ momentum[: len(F)])
     if link == 0 or slope == 0:
-        return Rest(np.inf)
-    power = joint.units[len(F) - 1]
-    return Rest(rest, shape, momentum * torque / (power * slope), -torque / (link * joint.period))
+        return Rest(np.inf, poles)
+    return Rest(radius, poles, shape, momentum * torque / slope, -torque / (link * joint.period))
 
 
 @dataclass(frozen=True)
@@ -134,33 +142,43 @@ def quadratic_form(joint: SampledJoint, level: float, rest: Rest, loss: Loss | N
     Returns:
         None where the form is not even positive within one period from rest.
     """
-    n = len(joint.flow)
+    n, size = len(joint.flow), len(joint.jump)
     F, b, t, jump = scaled(joint)
-    power = joint.units[n - 1]  # torque unit times a velocity of 1
-    # Lagrangian 1/2 (weight w^2 + 2 w cross Y + Y' states Y), w eliminated.
-    weight, cross, states = 2 * (-joint.torque_w - level) / power, -t / power, np.zeros((n, n))
+    # Lagrangian 1/2 (weight w^2 + 2 w cross Y + Y' states Y). The rate of the spring's energy has been taken
+    # out of it: with it, three large blocks of the Hamiltonian cancel where the damping is small.
+    spring = t[DEFLECTION] * joint.units[DEFLECTION]
+    weight, cross, states = 2 * (-joint.torque_w - level), -t, np.zeros((n, n))
+    cross[DEFLECTION] = 0.0
+    states[DEFLECTION, SPEED] = states[SPEED, DEFLECTION] = -t[DEFLECTION] * joint.units[SPEED]
     if loss is not None:
         row = loss.row * joint.units[:n]
-        weight -= 2 * loss.row_w**2 / power
-        cross = cross - 2 * loss.row_w * row / power
-        states = -2 * np.outer(row, row) / power
+        weight -= 2 * loss.row_w**2
+        cross = cross - 2 * loss.row_w * row
+        states -= 2 * np.outer(row, row)
     if not weight > 0:
+        return None
+    given = np.outer(cross, cross) / weight - states
+    power = np.sqrt(np.abs(given).max() * weight) / np.abs(b).max()  # unit of energy that balances the blocks
+    if not (np.isfinite(power) and power > 0):
         return None
     hamiltonian = np.empty((2 * n, 2 * n))
     hamiltonian[:n, :n] = F - np.outer(b, cross) / weight
     hamiltonian[n:, n:] = -hamiltonian[:n, :n].T
-    hamiltonian[:n, n:] = -np.outer(b, b) / weight
-    hamiltonian[n:, :n] = np.outer(cross, cross) / weight - states
+    hamiltonian[:n, n:] = -np.outer(b, b) * (power / weight)
+    hamiltonian[n:, :n] = given / power
     if not np.isfinite(hamiltonian).all():
         return None
     period = _over(hamiltonian, joint.period)
     if period is None:
         return None
-    size = len(jump)
     A, G, H = np.eye(size), np.zeros((size, size)), np.zeros((size, size))
     A[:n, :n], G[:n, :n], H[:n, :n] = period
-    form = Form(A @ jump, G, jump.T @ H @ jump)
-    return form if rest.shape is None else _without_equilibria(form, rest)
+    form = Form(A @ jump, G, jump.T @ H @ jump, float(power), float(spring))
+    if rest.shape is None or rest.momentum is None:
+        return form
+    momentum = rest.momentum.copy()
+    momentum[DEFLECTION] += spring * rest.shape[DEFLECTION]
+    return _without_equilibria(form, rest.shape, momentum / power)
 
 
 def _over(hamiltonian: Floats, time: float) -> tuple[Floats, Floats, Floats] | None:
@@ -169,11 +187,13 @@ def _over(hamiltonian: Floats, time: float) -> tuple[Floats, Floats, Floats] | N
     fastest = float(np.hypot(*_eigenvalues(hamiltonian)).max()) * time
     halvings = max(0, int(np.ceil(np.log2(fastest / SHORT)))) if fastest > 0 else 0
     short = expm(hamiltonian * (time / 2.0**halvings))
+    if not np.isfinite(short).all():
+        return None
     inverse = np.linalg.inv(short[n:, n:])
     A, G, H = inverse.T, -short[:n, n:] @ inverse, -inverse @ short[n:, :n]
     for _ in range(halvings):
         inner = np.eye(n) + G @ H
-        if not _eigenvalues(inner)[0].min() > 0:
+        if not np.isfinite(inner).all() or not _eigenvalues(inner)[0].min() > 0:
             return None
         both = _solve(inner, np.concatenate([A, G], 1))
         G, H = G + A @ both[:, n:] @ A.T, H + A.T @ H @ both[:, :n]
@@ -181,15 +201,17 @@ def _over(hamiltonian: Floats, time: float) -> tuple[Floats, Floats, Floats] | N
     return A, G, H
 
 
-def _without_equilibria(form: Form, rest: Rest) -> Form | None:
+def _without_equilibria(form: Form, r: Floats, psi: Floats) -> Form | None:
     """Takes the pole at z = 1 out: a displaced link at rest neither stores nor gives out energy here.
 
     The co-state is shifted by X Y with X symmetric and X shape = momentum: that adds a stored energy, which
     does not change the form, after which it no longer depends on the displacement. That direction is dropped.
+
+    Args:
+        form: With the equilibria.
+        r: Their shape.
+        psi: Their momentum, in the form's unit of energy.
     """
-    r, psi = rest.shape, rest.momentum
-    assert r is not None
-    assert psi is not None
     rr = r @ r
     X = (np.outer(psi, r) + np.outer(r, psi)) / rr - np.outer(r, r) * (psi @ r) / rr**2
     A, G = form.A, form.G
@@ -201,7 +223,8 @@ def _without_equilibria(form: Form, rest: Rest) -> Form | None:
     if np.abs(new_A @ r - r).max() > 1e-6 * np.sqrt(rr) or np.abs(new_Q @ r).max() > 1e-6 * scale:
         return None
     rest_of = np.linalg.svd(r[None])[2][1:]  # orthonormal complement of r
-    return Form(rest_of @ new_A @ rest_of.T, rest_of @ new_G @ rest_of.T, rest_of @ new_Q @ rest_of.T)
+    new_A, new_G, new_Q = (rest_of @ part @ rest_of.T for part in (new_A, new_G, new_Q))
+    return Form(new_A, new_G, new_Q, form.power, form.spring)
 
 
 def crossings(form: Form) -> Floats:

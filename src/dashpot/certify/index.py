@@ -27,7 +27,8 @@ GRID = np.concatenate(
     [np.geomspace(1e-7, 1e-4, 5)[:-1], np.geomspace(1e-4, 0.08, 20), np.linspace(0.1, np.pi, 28)]
 )
 BOTTOM = 1e6  # how far below the grid's value the exact test is followed, relative
-LOWER = (0, 2, 20)  # steps of RESOLUTION below the level found at which a storage function is sought
+AROUND = np.array([-3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0])  # a pole, in its distance from the circle
+BEYOND = "its numbers are too large, too small or too far apart to be judged"
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ class Index:
             where it is the transmission's damping, approached at ever higher frequencies.
         intervals: Sub-intervals N at which the lifted port agrees.
         remainder: What the index at N lies above the limit [N m s/rad].
-        decided: Whether a storage function was found at ``value`` and the grid agrees with it.
+        decided: Whether the tests agree: where ``value`` is positive a storage function was found that proves
+            the port passive, and no lifted port lies below it.
         reason: In words, where ``value`` is not a finite, decided number.
     """
 
@@ -82,37 +84,48 @@ def passivity_index(
         InputError: The sensor's latency is not a whole number of samples.
     """
     joint = sampled_joint(drive, block, sampling, period, scales)
+    with np.errstate(all="ignore"):
+        try:
+            return _index(joint, drive)
+        except (np.linalg.LinAlgError, ValueError):  # not finite somewhere
+            return Index(-np.inf, 0.0, 0, np.inf, False, BEYOND)
+
+
+def _index(joint: SampledJoint, drive: Drive) -> Index:
     rest = at_rest(joint)
     reason = unfit(rest)
     if reason:
         return Index(-np.inf, 0.0, 0, 0.0, True, reason)
     ports = {N: lift(joint, N) for N in (FIRST_INTERVALS, 2 * FIRST_INTERVALS)}
-    coarse = ports[FIRST_INTERVALS]
-    values = coarse.least_damping(GRID)
-    at = int(values.argmin())
-    near = np.linspace(GRID[max(at - 1, 0)], GRID[min(at + 1, len(GRID) - 1)], 19)
-    around = coarse.least_damping(near)
-    upper, angle = float(around.min()), float(near[around.argmin()])
+    upper, angle = _least(ports[FIRST_INTERVALS], rest)
     lowest, found = _closest_level(joint, rest, upper, angle, ports)
-    proven = False
-    for steps in LOWER:  # rounding may hide the storage function just below the limit
-        level = lowest - steps * RESOLUTION * abs(lowest)
-        form = quadratic_form(joint, level, rest)
-        if form is not None and positive(form):
-            proven, lowest = True, level
-            break
+    if np.isnan(lowest):
+        return Index(-np.inf, 0.0, 0, np.inf, False, BEYOND)
+    total, proven, reason = lowest + drive.link_friction, True, ""
+    if total > 0:  # the level that counts; below it rounding matters less than next to the limit
+        form = quadratic_form(joint, min(lowest, 0.0), rest)
+        proven = form is not None and positive(form)
+        reason = "" if proven else "no storage function was found; the value is an upper bound"
     angle, intervals, remainder = _confirm(joint, lowest, angle, found, ports)
-    reason = "" if proven else "no storage function was found; the value is an upper bound"
     tolerance = 10 * RESOLUTION * max(abs(lowest), 1e-3 * drive.damping) + 1e-12 * joint.units[-1]
-    if remainder < -tolerance:
-        proven, reason = False, f"grid and exact test disagree by {-remainder:.3g} N m s/rad"
+    above = min(upper - lowest, remainder)
+    if above < -tolerance:
+        proven, reason = False, f"grid and exact test disagree by {-above:.3g} N m s/rad"
     if lowest >= (1 - 3 * RESOLUTION) * drive.damping:
         angle = np.pi
     if joint.speed_in_sample:
         proven, reason = False, SPEED_IN_SAMPLE
-    return Index(
-        lowest + drive.link_friction, angle / (2 * np.pi * period), intervals, remainder, proven, reason
-    )
+    return Index(total, angle / (2 * np.pi * joint.period), intervals, remainder, proven, reason)
+
+
+def _least(port: Port, rest: Rest) -> tuple[float, float]:
+    """Least damping of a lifted port, and its angle: on a grid and around the held joint's poles."""
+    angles = np.concatenate([GRID, *(abs(np.angle(z)) + (1 - abs(z)) * AROUND for z in rest.poles)])
+    angles = np.unique(angles[(angles >= GRID[0]) & (angles <= np.pi)])
+    at = int(port.least_damping(angles).argmin())
+    near = np.linspace(angles[max(at - 1, 0)], angles[min(at + 1, len(angles) - 1)], 19)
+    around = port.least_damping(near)
+    return float(around.min()), float(near[around.argmin()])
 
 
 def unfit(rest: Rest) -> str:

@@ -89,6 +89,7 @@ def _unit_of(values: Floats) -> float:
     return size if size > 0 and np.isfinite(size) else 1.0
 
 
+@np.errstate(all="ignore")  # absurd coefficients: what is not finite is found later
 def sampled_joint(
     drive: Drive,
     block: NDArray[np.void],
@@ -108,8 +109,11 @@ def sampled_joint(
         scales: Departures from nominal.
 
     Raises:
-        InputError: The sensor's latency is not a whole number of samples.
+        InputError: A coefficient is not finite, or the sensor's latency is not a whole number of samples.
     """
+    for key in ("A", "B", "C", "D"):
+        if not np.isfinite(block[key]).all():
+            raise InputError("must be finite", joint=drive.name, quantity=f"coefficient {key}")
     m, v, k, c = drive.rotor_inertia, drive.viscous_friction, drive.stiffness, drive.damping
     average, listens = sampling == "average", uses(block, TORQUE)
     located = uses(block, POSITION)

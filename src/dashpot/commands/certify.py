@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -45,8 +45,9 @@ def certify(options: Certify) -> int:
         certificate = Certificate(robot.name, tuple(joints), others)
         if out is not None:
             with whole_folder(out) as folder:
+                files = file_names([joint.name for joint in joints])
                 for joint, (drive, gains) in zip(joints, pairs, strict=True):
-                    _keep(folder, joint, drive, gains, config)
+                    _keep(folder / files[joint.name], joint, drive, gains, config)
                     advance()
                 (folder / "certificate.json").write_text(_json(certificate), encoding="utf-8")
     if options.json:
@@ -74,19 +75,18 @@ def map_gains(options: Map) -> int:
                 f"not controlled; controlled: {', '.join(known)}", quantity="--joint", value=name
             )
     chosen = [pair for pair in pairs if not options.joint or pair[0].name in options.joint]
+    files = file_names(known)
     with _progress("mapping", len(chosen)) as advance, whole_folder(options.out) as folder:
         for drive, gains in chosen:
             found = gain_map(drive, gains, config, options.points)
-            np.savez_compressed(
-                folder / f"{file_name(drive.name)}.npz", R=found.R, D=found.D, index=found.index
-            )
-            save(draw_map(found, drive, gains, config), folder / file_name(drive.name))
+            np.savez_compressed(folder / f"{files[drive.name]}.npz", R=found.R, D=found.D, index=found.index)
+            save(draw_map(found, drive, gains, config), folder / files[drive.name])
             advance()
     console = Console()
     for drive, _ in chosen:
         console.print(
             f"{drive.name}: {options.points} x {options.points} gains; open "
-            f"{options.out / (file_name(drive.name) + '.png')}",
+            f"{options.out / (files[drive.name] + '.png')}",
             highlight=False,
             markup=False,
         )
@@ -94,22 +94,29 @@ def map_gains(options: Map) -> int:
 
 
 def _keep(
-    folder: Path, joint: JointCertificate, drive: Drive, gains: JointGains, config: ControllerConfig
+    place: Path, joint: JointCertificate, drive: Drive, gains: JointGains, config: ControllerConfig
 ) -> None:
     """Writes a joint's picture and the bench on which its counter-example runs."""
     from dashpot.commands.certify_plots import draw
     from dashpot.plots import save
 
-    save(draw(joint, drive, gains, config, POINTS), folder / file_name(joint.name))
+    save(draw(joint, drive, gains, config, POINTS), place)
     load = joint.counterexample
     if load is not None:
         shown = replace(drive, coulomb_friction=0.0) if hidden(drive, gains, load) else drive
-        write(folder / file_name(joint.name), load.load, shown, gains, config, joint.point)
+        write(place, load.load, shown, gains, config, joint.point)
 
 
-def file_name(joint: str) -> str:
-    """A joint's name without what a file system may refuse."""
-    return re.sub(r"[^\w.-]+", "_", joint).strip(".") or "joint"
+def file_names(joints: Sequence[str]) -> dict[str, str]:
+    """Names of joints without what a file system may refuse, each once."""
+    names: dict[str, str] = {}
+    for joint in joints:
+        name = plain = re.sub(r"[^\w.-]+", "_", joint).strip(".") or "joint"
+        number = 2
+        while name.lower() in (taken.lower() for taken in names.values()):
+            name, number = f"{plain}-{number}", number + 1
+        names[joint] = name
+    return names
 
 
 def _json(certificate: Certificate) -> str:

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from dashpot.certify.box import DRIVE
 from dashpot.certify.certificate import STATEMENT, Certificate, JointCertificate
-from dashpot.commands.certify import file_name
+from dashpot.commands.certify import file_names
 from dashpot.controller import JointGains
 from dashpot.drive import Drive
 from dashpot.testbench import hidden, suggested_tap
@@ -50,9 +50,10 @@ def show(
             together.setdefault(where, []).append(escape(joint.name))
     for where, alike in together.items():
         console.print(f"{', '.join(alike)}: worst {where}", highlight=False)
+    files = file_names([joint.name for joint in certificate.joints])
     for joint, (drive, gains) in zip(certificate.joints, pairs, strict=True):
         if not joint.certified:
-            _explain(console, joint, drive, gains, out)
+            _explain(console, joint, drive, gains, None if out is None else out / files[joint.name])
     if certificate.others:
         names = ", ".join(escape(name) for name in certificate.others)
         console.print(f"{names}: left to the robot's own position loop, taken to be passive", highlight=False)
@@ -66,7 +67,7 @@ def show(
         )
     console.print(STATEMENT, highlight=False, style="dim")
     if out is not None:
-        pictures = out / f"{file_name(certificate.joints[0].name)}.png"
+        pictures = out / f"{files[certificate.joints[0].name]}.png"
         more = " and so on" if len(certificate.joints) > 1 else ""
         console.print(f"open {escape(str(pictures))}{more}", highlight=False)
 
@@ -109,7 +110,7 @@ def _table(certificate: Certificate, options: Certify) -> Table:
 
 
 def _explain(
-    console: Console, joint: JointCertificate, drive: Drive, gains: JointGains, out: Path | None
+    console: Console, joint: JointCertificate, drive: Drive, gains: JointGains, bench: Path | None
 ) -> None:
     console.print(f"[red]{escape(joint.name)}[/]: {escape(joint.reason)}", highlight=False)
     load = joint.counterexample
@@ -121,8 +122,7 @@ def _explain(
     console.print(
         f"  {escape(str(load))}" + (", at the worst point" if joint.nominal.passive else ""), highlight=False
     )
-    if out is not None:
-        bench = out / file_name(joint.name)
+    if bench is not None:
         how = ""
         if hidden(drive, gains, load):
             how = " (there without Coulomb friction, which hides growth this slow)"

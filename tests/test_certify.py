@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dashpot.certify.counterexample import counterexample
 from dashpot.certify.exact import at_rest, crossings, quadratic_form, storage
-from dashpot.certify.index import GRID, passivity_index
+from dashpot.certify.index import GRID, passivity_index, settled
 from dashpot.certify.joint import Scales, sampled_joint
 from dashpot.certify.loads import GRAVITY, Load, loops, oscillation, radii
 from dashpot.certify.port import lift
@@ -145,7 +145,7 @@ def test_grid_and_exact_test_agree():
             continue
         joint = sampled_joint(drive, block, "average", H)
         rest = at_rest(joint)
-        values = [lift(joint, N).least_damping(GRID).min() for N in (4, 8, 16)]
+        values = [settled(joint, rest, N).least_damping(GRID).min() for N in (4, 8, 16)]
         assert values[0] >= values[1] * (1 - 1e-9) >= values[2] * (1 - 1e-9) - 1e-9
         assert found.value <= values[2] + 1e-3 * abs(values[2])
         form = quadratic_form(joint, found.value - 1e-3 * abs(found.value), rest)
@@ -156,6 +156,17 @@ def test_grid_and_exact_test_agree():
         assert above is None or len(crossings(above)) > 0
         compared += 1
     assert compared > 12
+
+
+def test_taking_the_equilibria_out_leaves_the_damping():
+    """The position loop's pole at z = 1 only adds to the imaginary part of the port."""
+    joint = sampled_joint(WRIST, block_of(WRIST, "explicit", 3, 3, 1.0, 60.0, 4.0), "average", H)
+    angles = np.geomspace(0.01, 3, 40)
+    port = lift(joint, 8)
+    without = settled(joint, at_rest(joint), 8)
+    np.testing.assert_allclose(without.least_damping(angles), port.least_damping(angles), rtol=1e-6)
+    assert np.abs(np.linalg.eigvals(port.A)).max() == pytest.approx(1)
+    assert np.abs(np.linalg.eigvals(without.A)).max() < 0.9999
 
 
 def test_storage_function_balances_energy():

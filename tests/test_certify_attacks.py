@@ -221,7 +221,6 @@ def test_sharp_resonances_of_the_drive(k, c):
             assert least(sampled_joint(drive, block, "average", 1e-3)) > 0.98 * found.value
 
 
-@pytest.mark.xfail(strict=True, reason="1.3e-5 is given as the upper bound where a scan shows 1e-8")
 def test_the_index_of_a_drive_without_friction_is_not_overstated():
     """At low frequency nothing is left of the damping."""
     drive = drive_of(0.1, 1e-8, 1e4, 1e-4)

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from dashpot.certify.exact import Rest, at_rest, crossings, positive, quadratic_form
 from dashpot.certify.joint import SampledJoint, Scales, sampled_joint
-from dashpot.certify.port import Port, lift
+from dashpot.certify.port import Port, lift, without_equilibria
 from dashpot.certify.threads import one_thread
 from dashpot.drive import Drive
 from dashpot.sampled import Floats
 
-FIRST_INTERVALS, MOST_INTERVALS = 8, 64
+COARSE_INTERVALS, FIRST_INTERVALS, MOST_INTERVALS = 4, 8, 64
 SETTLED = 0.01  # relative difference between N intervals and the limit at which N is enough
-RESOLUTION = 5e-4  # of the index, relative
+RESOLUTION = 1e-3  # of the index, relative
 STABLE = 1e-9  # distance of the held joint's eigenvalues from the unit circle
 ROUNDS = 60
 SPEED_IN_SAMPLE = (
@@ -96,8 +96,8 @@ def _index(joint: SampledJoint, drive: Drive) -> Index:
     reason = unfit(rest)
     if reason:
         return Index(-np.inf, 0.0, 0, 0.0, True, reason)
-    ports = {N: lift(joint, N) for N in (FIRST_INTERVALS, 2 * FIRST_INTERVALS)}
-    upper, angle = _least(ports[FIRST_INTERVALS], rest)
+    ports = {N: settled(joint, rest, N) for N in (FIRST_INTERVALS, 2 * FIRST_INTERVALS)}
+    upper, angle = _least(settled(joint, rest, COARSE_INTERVALS), rest)
     lowest, found = _closest_level(joint, rest, upper, angle, ports)
     if np.isnan(lowest):
         return Index(-np.inf, 0.0, 0, np.inf, False, BEYOND)
@@ -106,11 +106,12 @@ def _index(joint: SampledJoint, drive: Drive) -> Index:
         form = quadratic_form(joint, min(lowest, 0.0), rest)
         proven = form is not None and positive(form)
         reason = "" if proven else "no storage function was found; the value is an upper bound"
-    angle, intervals, remainder = _confirm(joint, lowest, angle, found, ports)
+    angle, intervals, remainder = _confirm(joint, rest, lowest, angle, found, ports)
     tolerance = 10 * RESOLUTION * max(abs(lowest), 1e-3 * drive.damping) + 1e-12 * joint.units[-1]
     above = min(upper - lowest, remainder)
     if above < -tolerance:
         proven, reason = False, f"grid and exact test disagree by {-above:.3g} N m s/rad"
+        total += above  # the grid's value, an upper bound
     if lowest >= (1 - 3 * RESOLUTION) * drive.damping:
         angle = np.pi
     if joint.speed_in_sample:
@@ -126,6 +127,14 @@ def _least(port: Port, rest: Rest) -> tuple[float, float]:
     near = np.linspace(angles[max(at - 1, 0)], angles[min(at + 1, len(angles) - 1)], 19)
     around = port.least_damping(near)
     return float(around.min()), float(near[around.argmin()])
+
+
+def settled(joint: SampledJoint, rest: Rest, intervals: int) -> Port:
+    """The lifted port without its equilibria."""
+    port = lift(joint, intervals)
+    if rest.shape is None or rest.momentum is None:
+        return port
+    return without_equilibria(port, rest.shape, rest.momentum)
 
 
 def unfit(rest: Rest) -> str:
@@ -184,7 +193,7 @@ def _closest_level(
 
 
 def _confirm(
-    joint: SampledJoint, level: float, angle: float, found: Floats, ports: dict[int, Port]
+    joint: SampledJoint, rest: Rest, level: float, angle: float, found: Floats, ports: dict[int, Port]
 ) -> tuple[float, int, float]:
     """Angle of the minimum, N at which a lifted port confirms the level, and what it is above it."""
     edges = np.concatenate([[0.0], found, [np.pi]])
@@ -192,7 +201,7 @@ def _confirm(
     tried = tried[[int(_limit(ports, tried).argmin())]]
     intervals = FIRST_INTERVALS
     while True:
-        port = ports.get(intervals) or lift(joint, intervals)
+        port = ports.get(intervals) or settled(joint, rest, intervals)
         remainder = float(port.least_damping(tried)[0]) - level
         if remainder <= SETTLED * abs(level) or 2 * intervals > MOST_INTERVALS:
             return float(tried[0]), intervals, remainder

@@ -98,3 +98,20 @@ def lift(joint: SampledJoint, intervals: int) -> Port:
     """
     period, jump = one_period(joint, intervals), scaled(joint)[3]
     return Port(period.flow @ jump, period.B, period.energy @ jump, period.D, joint.period)
+
+
+def without_equilibria(port: Port, shape: Floats, momentum: Floats) -> Port:
+    """Takes a position loop's pole at z = 1 out: its Hermitian part on the circle is minus half its residue.
+
+    Args:
+        port: With the pole.
+        shape: Its right eigenvector, see `dashpot.certify.exact.Rest`.
+        momentum: Its left eigenvector.
+
+    Returns:
+        A port with the same damping at every frequency, accurate at low ones, too.
+    """
+    pole = np.outer(shape, momentum) / (momentum @ shape)
+    rest = np.eye(len(shape)) - pole
+    D = port.D - port.C @ pole @ port.B / 2
+    return Port(rest @ port.A, rest @ port.B, port.C @ rest, D, port.period)

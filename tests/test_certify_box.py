@@ -11,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_certify import WRIST, H, block_of, random_joint
 
-from dashpot.certify.box import DRIVE, POINTS, Box, at, certify_box, with_shadow
+from dashpot.certify.box import DRIVE, POINTS, Box, at, certify_box
 from dashpot.certify.index import passivity_index
 from dashpot.certify.joint import Scales, sampled_joint
 from dashpot.certify.port import lift
+from dashpot.certify.shadow import with_shadow
 
 UNSURE = replace(
     WRIST,

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from dashpot.certify.certificate import certify
+from dashpot.certify.certificate import certify_arm
 from dashpot.certify.counterexample import Counterexample
 from dashpot.certify.index import passivity_index
 from dashpot.certify.joint import sampled_joint
@@ -124,7 +124,7 @@ def test_folder_holds_pictures_and_benches_that_run(files, dashpot, tmp_path):
 
 def test_every_bundled_verdict():
     for robot, controller, certified in (("fr3", "fr3", True), ("k807", "k807-wrist", False)):
-        found = certify(Robot.load(robot), load_controller(controller))
+        found = certify_arm(Robot.load(robot), load_controller(controller))
         assert found.certified is certified
         for joint in found.joints:
             assert joint.certified == certified

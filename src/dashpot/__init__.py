@@ -7,6 +7,10 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
+    "certify_box": "certify.box",
+    "certify_arm": "certify.certificate",
+    "certify_joint": "certify.certificate",
+    "passivity_index": "certify.index",
     "Controller": "controller",
     "ControllerConfig": "controller",
     "JointGains": "controller",

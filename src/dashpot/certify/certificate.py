@@ -99,7 +99,7 @@ class Certificate:
         return {"certified": self.certified, "joints": [_row(joint) for joint in self.joints]}
 
 
-def certify(robot: Robot, config: ControllerConfig) -> Certificate:
+def certify_arm(robot: Robot, config: ControllerConfig) -> Certificate:
     """Certifies a controller on an arm, joint by joint; no model of the arm is needed.
 
     Raises:

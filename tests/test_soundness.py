@@ -11,15 +11,13 @@ from dashpot.studies.soundness import (
     REFUSED,
     REFUTED,
     box_summary,
-    case,
     judge,
     judge_box,
-    loads,
-    precise_radius,
     scan,
-    single_frequency,
     summary,
 )
+from dashpot.studies.soundness_cases import case, loads
+from dashpot.studies.soundness_checks import precise_radius, single_frequency
 from dashpot.studies.soundness_replays import (
     certified_replays,
     chosen,

@@ -155,8 +155,8 @@ class Replay:
 def replay(robot: Path, controller: Path, expected: Counterexample) -> Replay:
     """Knocks the load of a written bench and watches the oscillation before anything saturates.
 
-    Friction, limits and sensor noise act. Friction damps a small oscillation more than a large one: where a
-    knock dies out, a harder one follows, up to `KNOCKS` of the torque limit.
+    Friction, limits and sensor noise act. Friction damps a small oscillation more than a large one: where it
+    does not grow to half the torque limit, a harder knock follows, up to the last of `KNOCKS`.
 
     Args:
         robot: As `write` wrote it.
@@ -188,7 +188,7 @@ def replay(robot: Path, controller: Path, expected: Counterexample) -> Replay:
         last = int(hot[0]) if len(hot) else len(path.position)
         first = max(round(KNOCK / period) + 1, last - math.ceil(CYCLES / (expected.frequency * period)))
         frequency, rate = strongest(recording.torque[first:last:every, 0], period * every)
-        if rate > 0:
+        if len(hot) and rate > 0:  # it grew, and friction did not stop it
             break
     return Replay(frequency, rate, recording)
 

@@ -16,130 +16,35 @@ import multiprocessing
 import os
 import sys
 import time
-import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from decimal import Decimal, localcontext
 from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dashpot.certify.box import POINTS, Box, at, certify_box
+from dashpot.certify.box import Box, at, certify_box
 from dashpot.certify.counterexample import Counterexample, counterexample
-from dashpot.certify.index import Index, passivity_index
+from dashpot.certify.index import passivity_index
 from dashpot.certify.joint import SampledJoint, Scales, sampled_joint
-from dashpot.certify.loads import GROWS, Load, radii
-from dashpot.certify.port import lift
-from dashpot.controller import ControllerConfig, JointGains, joint_block
+from dashpot.certify.loads import GROWS, radii
 from dashpot.drive import Drive
-from dashpot.errors import InputWarning
-from dashpot.sampled import Floats, Form
+from dashpot.studies.soundness_cases import INERTIAS, LENGTHS, MASSES, SPRINGS, case, loads, random_point
+from dashpot.studies.soundness_checks import precise_radius, single_frequency
 
-JOINTS, BOXES, SAMPLES = 10_000, 300, 50
-CENTRES = {  # parameters are log-uniform over a decade on each side, SI units
-    "rotor_inertia": 0.1,
-    "viscous_friction": 1.0,
-    "stiffness": 8e3,
-    "damping": 2.0,
-    "R": 3.0,
-    "D": 5.0,
-    "K": 1.0,
-    "kp": 60.0,
-    "kd": 3.0,
-}
-BANDWIDTH = 0.1  # of the sensor's filter, centre, times the sample period
-FORMS: tuple[Form, ...] = ("explicit", "implicit")
-POINT = 0.2  # share of joints with point samples behind a sensor filter; the others average
 UNCERTAINTY = {"rotor_inertia": 0.3, "viscous_friction": 0.5, "stiffness": 0.3, "damping": 0.6}  # largest
 GAIN_ERROR = 0.05  # largest
-INERTIAS = np.geomspace(1e-3, 1e4, 200)  # of the rotor's
-SPRINGS = np.append(0.0, np.geomspace(1e-3, 10, 6))  # of the transmission's stiffness
-MASSES, LENGTHS = np.geomspace(0.05, 50, 12), np.geomspace(0.03, 1.5, 8)  # [kg], [m]
+JOINTS, BOXES, SAMPLES = 10_000, 300, 50
 SMALL = 0.01  # of viscous friction plus damping: an index that hardly matters
 SEARCHED = 1000  # joints that are searched as `counterexample` does, too, where they are certified
 SECOND_LOOKS = 5  # loads of a joint that are looked at in higher precision
-DIGITS, DOUBLINGS, TERMS = 60, 40, 50  # of that look: 2^40 periods, Taylor terms
 KEPT = 100  # verdicts written one by one
 CHUNK = 20
 CERTIFIED, UNDECIDED, REFUTED, REFUSED = "cuxr"
 """Verdicts: certified; undecided; refused, and a load oscillates; refused, none found."""
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Case:
-    """A random joint with its controller.
-
-    Attributes:
-        number: With the seed, what it was made from.
-        drive: Its drive.
-        gains: Its gains.
-        config: The controller they belong to.
-    """
-
-    number: int
-    drive: Drive
-    gains: JointGains
-    config: ControllerConfig
-
-    @property
-    def block(self) -> NDArray[np.void]:
-        """Its controller block, without the warning that random gains do not tolerate the gain error."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", InputWarning)
-            return joint_block(self.gains, self.drive, self.config)
-
-    def joint(self) -> SampledJoint:
-        """Its exact description."""
-        return sampled_joint(self.drive, self.block, self.config.sampling, self.config.period)
-
-    def index(self) -> Index:
-        """Its index."""
-        return passivity_index(self.drive, self.block, self.config.sampling, self.config.period)
-
-
-def case(seed: int, number: int) -> Case:
-    """Draws a joint; friction and limits, which the law does not see, are for the simulator."""
-    rng = np.random.default_rng([seed, number])
-    value = {key: float(centre * 10 ** rng.uniform(-1, 1)) for key, centre in CENTRES.items()}
-    if rng.random() < 1 / 3:
-        value["K"] = 0.0
-    if rng.random() < 0.5:
-        value["kp"] = value["kd"] = 0.0
-    period = float(rng.choice([0.005, 0.001]))
-    form, latency = FORMS[int(rng.integers(0, 2))], int(rng.integers(0, 4))
-    point, order = bool(rng.random() < POINT), int(rng.integers(1, 3))
-    bandwidth = float(BANDWIDTH / period * 10 ** rng.uniform(-1, 1))
-    drive = Drive(
-        "joint",
-        rotor_inertia=value["rotor_inertia"],
-        viscous_friction=value["viscous_friction"],
-        stiffness=value["stiffness"],
-        damping=value["damping"],
-        coulomb_friction=0.05,
-        torque_limit=100.0,
-        sensor_bandwidth=bandwidth if point else None,
-        sensor_order=order,
-    )
-    gains = JointGains("joint", **{key: value[key] for key in ("R", "D", "K", "kp", "kd")})
-    config = ControllerConfig(
-        (gains,), period=period, latency=latency, sampling="point" if point else "average", form=form
-    )
-    return Case(number, drive, gains, config)
-
-
-def loads(drive: Drive) -> tuple[Floats, Floats]:
-    """Inertia [kg m^2] and stiffness [N m/rad] of every load tried on a joint, (k,) each."""
-    inertia, stiffness = np.meshgrid(INERTIAS * drive.rotor_inertia, SPRINGS * drive.stiffness)
-    pendulums = [Load.pendulum(mass, length) for mass in MASSES for length in LENGTHS]
-    return (
-        np.append(inertia, [load.inertia for load in pendulums]),
-        np.append(stiffness, [load.stiffness for load in pendulums]),
-    )
 
 
 @dataclass(frozen=True)
@@ -177,51 +82,6 @@ def scan(joint: SampledJoint, drive: Drive, *, search: bool = False) -> Scan:
     again = [(float(inertia[i]), float(stiffness[i])) for i in above]
     precise = [(*load, precise_radius(joint, *load)) for load in again]
     return Scan(float(radius.max()), len(above), tuple(row for row in precise if row[2] > 1 + GROWS))
-
-
-def precise_radius(joint: SampledJoint, inertia: float, stiffness: float) -> float:
-    """Spectral radius of a joint with a load, from its growth over 2^40 periods in 60 digits.
-
-    Eigenvalues in double precision are worth no more than 1e-8 where two of them nearly coincide, as those
-    of a heavy, freely turning link do. The joint's own coefficients are taken as exact.
-
-    Args:
-        joint: Its torque sampled as an average or behind a filter.
-        inertia: [kg m^2].
-        stiffness: [N m/rad].
-    """
-    assert not joint.speed_in_sample
-    n, size = len(joint.flow), len(joint.jump)
-    flow = np.zeros((n + 2, n + 2))
-    flow[:n, :n], flow[:n, n] = joint.flow, joint.velocity_in
-    flow[n, :n], flow[n, n], flow[n, n + 1] = joint.torque, joint.torque_w, -stiffness
-    flow[n + 1, n] = 1.0
-    units = np.append(joint.units, [1.0, joint.period])  # similarity: keeps the series short
-    moving = np.r_[:n, size, size + 1]
-    to_decimal = np.vectorize(Decimal, otypes=[object])
-    with localcontext() as context:
-        context.prec = DIGITS
-        context.Emax, context.Emin = 10**15, -(10**15)
-        exact = to_decimal(flow)
-        exact[n] = exact[n] / Decimal(float(inertia))
-        scale = to_decimal(units[moving])
-        exact = exact * scale[None, :] / scale[:, None] * Decimal(joint.period)
-        halvings = max(0, math.ceil(math.log2(float(np.abs(exact).astype(float).sum(1).max()) + 1e-300)) + 1)
-        exact = exact / Decimal(2) ** halvings
-        term = total = to_decimal(np.eye(n + 2))
-        for i in range(1, TERMS):
-            term = term @ exact / Decimal(i)
-            total = total + term
-        for _ in range(halvings):
-            total = total @ total
-        over, jump = to_decimal(np.eye(size + 2)), to_decimal(np.eye(size + 2))
-        over[np.ix_(moving, moving)] = total
-        scale = to_decimal(units)
-        jump[:size, :size] = to_decimal(joint.jump)
-        power = over @ (jump * scale[None, :] / scale[:, None])
-        for _ in range(DOUBLINGS):
-            power = power @ power
-        return float((np.abs(power).max().ln() / Decimal(2) ** DOUBLINGS).exp())
 
 
 @dataclass(frozen=True)
@@ -263,29 +123,6 @@ def judge(seed: int, number: int) -> Verdict:
         return Verdict(number, REFUTED, loop, index.value, counterexample=found, small=small)
     single = single_frequency(joint, index.frequency)
     return Verdict(number, REFUSED, loop, index.value, small=small, single=single)
-
-
-def single_frequency(joint: SampledJoint, near: float, intervals: int = 32) -> float:
-    """Least damping shown to a sinusoidal motion of the link, at any frequency [N m s/rad].
-
-    The index is about motions that may also hold all aliases of a frequency, in any proportion; a load with
-    one resonance cannot make such a motion.
-
-    Args:
-        joint: The joint.
-        near: Where to look more closely, folded [Hz].
-        intervals: The motion is a staircase of that many steps a period.
-    """
-    port = lift(joint, intervals)
-    about = max(2 * np.pi * near * joint.period, 1e-5) * np.geomspace(0.8, 1.25, 41)
-    angles = np.concatenate([np.geomspace(1e-5, 0.1, 80), np.linspace(0.105, np.pi, 160), about])
-    form = port.response(np.minimum(angles, np.pi))
-    form = (form + np.conj(np.swapaxes(form, -1, -2))) / 2
-    # A frequency and its aliases: angles a, a +- 2 pi, ...; beyond half the steps they repeat.
-    alias = 2 * np.pi * np.arange(-intervals // 2, intervals // 2)
-    steps = np.arange(intervals) / intervals
-    wave = np.exp(1j * (angles[:, None, None] + alias[:, None]) * steps) / np.sqrt(intervals)
-    return float(np.einsum("tai,tij,taj->ta", wave.conj(), form, wave, optimize=True).real.min() * port.scale)
 
 
 @dataclass(frozen=True)
@@ -335,18 +172,6 @@ def judge_box(seed: int, number: int, samples: int = SAMPLES) -> BoxVerdict:
         undecided=sum(not index.decided for index in indices),
         missed=1 - min(values) / found.worst.value,
     )
-
-
-def random_point(box: Box, rng: np.random.Generator, *, corner: bool) -> dict[str, float]:
-    """A point of a box: one of its corners, or anywhere inside."""
-    point = {}
-    for name in POINTS:
-        low, high = box.ranges[name]
-        share = float(rng.integers(0, 2)) if corner else rng.uniform()
-        point[name] = float(low + share * (high - low))
-    low, high = box.ranges["latency"]
-    point["latency"] = float(rng.integers(int(low), int(high), endpoint=True))
-    return point
 
 
 def spread(work: Callable[[Any], T], tasks: Sequence[Any], workers: int, label: str) -> list[T]:

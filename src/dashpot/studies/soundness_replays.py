@@ -21,7 +21,8 @@ from dashpot.plant import build
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
 from dashpot.simulate import Scenario, run
-from dashpot.studies.soundness import CERTIFIED, REFUTED, Case, Verdict, case
+from dashpot.studies.soundness import CERTIFIED, REFUTED, Verdict
+from dashpot.studies.soundness_cases import Case, case
 from dashpot.testbench import KNOCK, replay, tap, write
 from dashpot.trajectory import hold
 

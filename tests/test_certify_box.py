@@ -168,3 +168,17 @@ def test_without_transmission_damping_nothing_is_certified():
     """Without c the port has no damping at high frequency and any torque feedback takes some away."""
     found = certify_box(replace(WRIST, damping=0.0), block_of(WRIST, "implicit", 1, 1, 0.0), "average", H)
     assert not found.proven
+
+
+def test_link_friction_counts_where_the_transmission_is_known():
+    block = block_of(WRIST, "explicit", 10, 3, 1.0)
+    held = replace(WRIST, link_friction=1.0)
+    assert not certify_box(WRIST, block, "average", H).proven
+    assert certify_box(held, block, "average", H).proven
+    unsure = replace(held, uncertainty={"rotor_inertia": 0.03, "viscous_friction": 0.05})
+    found = certify_box(unsure, block, "average", H)
+    assert found.proven
+    rng, box = np.random.default_rng(0), Box.of(unsure, block)
+    for _ in range(30):
+        there, scales = at(unsure, {name: rng.uniform(*box.ranges[name]) for name in POINTS})
+        assert passivity_index(there, block, "average", H, scales).passive

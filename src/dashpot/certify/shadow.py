@@ -16,7 +16,12 @@ from dashpot.drive import Drive
 
 
 def with_shadow(
-    joint: SampledJoint, drive: Drive, inertia: float, friction: float, position: float
+    joint: SampledJoint,
+    drive: Drive,
+    inertia: float,
+    friction: float,
+    position: float,
+    link_friction: float = 0.0,
 ) -> tuple[SampledJoint, Loss | None]:
     """Adds what a change of rotor and position loop does to the transmitted torque for the same rotor motion.
 
@@ -26,9 +31,11 @@ def with_shadow(
         inertia: Change of the rotor inertia [kg m^2].
         friction: Change of the viscous friction [N m s/rad].
         position: Change of the position loop's scale, relative.
+        link_friction: Counted in the form [N m s/rad].
 
     Returns:
-        The joint with the shadow's states, and the transmission's dissipation of the difference in torque.
+        The joint with the shadow's states, and what transmission and link friction dissipate of the
+        difference.
     """
     if inertia == friction == position == 0:
         return joint, None
@@ -77,7 +84,8 @@ def with_shadow(
     units[twin[twin >= 0]] = joint.units[twin >= 0]
     wide = np.zeros(moving)
     wide[:n] = joint.torque
-    loss = Loss(np.sqrt(c) * rate, np.sqrt(c) * rate_w)
+    damping = np.sqrt(c + link_friction)
+    loss = Loss(damping * rate, damping * rate_w)
     return (
         replace(joint, flow=flow, velocity_in=velocity, torque=wide, jump=jump, units=units),
         loss,

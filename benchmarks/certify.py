@@ -48,7 +48,7 @@ counted, and answer about that N: R 8.1 passes there and fails in the limit.
 - python-control: ispassive, and get_input_ff_index, on a discrete StateSpace; the solver is cvxopt.
 - CVXPY: the KYP inequality is the user's to write. SCS, at its default accuracy, is what it takes by default.
 - With kp the port has a pole at z = 1: no strictly feasible point, which is where solvers give up.
-- Rivals win: more digits of the index at the N they are given (dashpot stops within about 0.05 % of the \
+- Rivals win: more digits of the index at the N they are given (dashpot stops within about 0.1 % of the \
 limit), and any discrete LTI system with as many inputs as outputs; python-control continuous ones too.
 """
 

@@ -232,3 +232,28 @@ def test_simulator_oscillates_as_predicted(load, gains, tmp_path):
     seen = replay(*write(tmp_path, load, drive, gains, config), expected)
     assert seen.frequency == pytest.approx(motion.frequency, rel=0.05)
     assert seen.growth == pytest.approx(motion.growth, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("robot", "sampling", "said"),
+    [
+        (ROBOT.replace("damping = 0.7\n", ""), "average", "give `damping` in the robot file"),
+        (ROBOT, "point", "average the torque over the period, or filter it"),
+        (ROBOT.replace("viscous_friction = 0.6", "viscous_friction = 0.0"), "average", ""),
+    ],
+)
+def test_what_cannot_be_certified_is_said_and_drawn(files, dashpot, tmp_path, robot, sampling, said):
+    """A drive without damping, bare point samples, no friction: a picture without a certified region."""
+    paths = files(robot=robot)
+    controller = tmp_path / "controller.toml"
+    controller.write_text(controller.read_text().replace("form =", f'sampling = "{sampling}"\nform ='))
+    status, out, err = dashpot("certify", *paths)
+    assert status == 1
+    assert err == ""
+    assert said in " ".join(out.split())
+    assert (tmp_path / "out" / "certify" / "wrist_1_.png").exists()
+    status, _, _ = dashpot("map", *paths, "--points", "8")
+    assert status == 0
+    if said:
+        with np.load(tmp_path / "out" / "map" / "wrist_1_.npz") as saved:
+            assert (saved["index"] < 0).all()

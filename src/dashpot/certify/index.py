@@ -28,6 +28,10 @@ GRID = np.concatenate(
 )
 BOTTOM = 1e6  # how far below the grid's value the exact test is followed, relative
 AROUND = np.array([-3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0])  # a pole, in its distance from the circle
+NO_DAMPING = (
+    "without transmission damping nothing is left at high frequency: give `damping` in the robot file; a low "
+    "guess is the safe one"
+)
 BEYOND = "its numbers are too large, too small or too far apart to be judged"
 
 
@@ -114,6 +118,8 @@ def _index(joint: SampledJoint, drive: Drive) -> Index:
         total += above  # the grid's value, an upper bound
     if lowest >= (1 - 3 * RESOLUTION) * drive.damping:
         angle = np.pi
+    if drive.damping == 0 and not reason:
+        reason = NO_DAMPING if total <= 0 else ""
     if joint.speed_in_sample:
         proven, reason = False, SPEED_IN_SAMPLE
     return Index(total, angle / (2 * np.pi * joint.period), intervals, remainder, proven, reason)

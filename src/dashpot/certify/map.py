@@ -23,7 +23,7 @@ from scipy.ndimage import label
 from dashpot.certify.exact import at_rest
 from dashpot.certify.index import unfit
 from dashpot.certify.joint import SampledJoint, Scales, sampled_joint, scaled
-from dashpot.certify.loads import GROWS, loops
+from dashpot.certify.loads import GROWS, loops, radii
 from dashpot.certify.port import one_period
 from dashpot.certify.threads import one_thread
 from dashpot.drive import Drive
@@ -80,7 +80,8 @@ class _Discs:
 def _levels(drive: Drive) -> Floats:
     """From far below zero up to the transmission's damping."""
     top = 0.999 * drive.damping
-    down = -np.geomspace(1e3 * (drive.damping + drive.viscous_friction), 1e-3 * drive.damping, LEVELS)
+    size = drive.damping + drive.viscous_friction or np.sqrt(drive.stiffness * drive.rotor_inertia)
+    down = -np.geomspace(1e3 * size, 1e-3 * (drive.damping or size), LEVELS)
     return np.concatenate([down, np.linspace(0, top, LEVELS)])
 
 
@@ -186,6 +187,8 @@ def index_map(
         whole = add_position_loop(blocks[i * len(R) + j], *loop)
         return sampled_joint(drive, whole, sampling, period, scales)
 
+    if drive.damping == 0 or joint_at(0, 0).speed_in_sample:  # what is positive is so at finite N only
+        index = np.minimum(index, -np.finfo(float).tiny)
     # Where the form is positive no eigenvalue of the held joint can cross the unit circle: one exact look at
     # every connected region is enough.
     regions, count = label(index >= 0)
@@ -205,7 +208,10 @@ def index_map(
                 joint = joint_at(i, j)
                 if flows is None:
                     flows = _flows(joint, inertias)
-                oscillates[a, e] = _grows(joint, flows)
+                if joint.speed_in_sample:
+                    oscillates[a, e] = radii(joint, inertias, 0 * inertias).max() > 1 + GROWS
+                else:
+                    oscillates[a, e] = _grows(joint, flows)
     return IndexMap(R, D, index, (rows, columns), oscillates)
 
 

@@ -121,7 +121,7 @@ def _map(
     axis.grid(False)
     axis.set_facecolor("#E9E9E9")
     index = np.where(found.index >= 0, found.index, np.nan)
-    if np.isfinite(index).any():
+    if np.isfinite(index).any() and np.nanmax(index) > 0:
         shade = axis.pcolormesh(
             found.R,
             found.D,
@@ -152,10 +152,15 @@ def _map(
     axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2, fontsize=8.5)
 
 
+def _bounded(found: IndexMap) -> bool:
+    """Whether there is anything between certified and not to draw."""
+    return bool((found.index >= 0).any() and (found.index < 0).any())
+
+
 def _boundary(axis: Any, found: IndexMap, dash: str, width: float) -> None:
     """Where the index is zero; between gains its logarithm is interpolated, it varies over decades."""
     finite = found.index[np.isfinite(found.index)]
-    if (found.index >= 0).all() or not (found.index >= 0).any():
+    if not _bounded(found):
         return
     small = 0.02 * finite.max() + 1e-12
     value = np.arcsinh(np.maximum(found.index, finite.min()) / small)
@@ -191,12 +196,13 @@ def _legend(found: IndexMap, worst: IndexMap | None) -> list[Any]:
     with _hatched():
         handles: list[Any] = [
             Line2D([], [], marker="*", ls="", ms=12, mfc="white", mec=BLACK, label="this controller"),
-            Line2D([], [], color=BLACK, lw=1.6, label="boundary, nominal drive"),
             Patch(fc="#E9E9E9", ec="none", label="not certified"),
         ]
+        if _bounded(found):
+            handles.append(Line2D([], [], color=BLACK, lw=1.6, label="boundary, nominal drive"))
         if found.oscillates.any():
             handles.append(Patch(fc="#E9E9E9", ec=VERMILLION, hatch="////", label="an inertia oscillates"))
-    if worst is not None:
+    if worst is not None and _bounded(worst):
         handles.append(Line2D([], [], color=BLACK, lw=1.3, ls="--", label="boundary, worst point found"))
     return handles
 
@@ -228,13 +234,14 @@ def _window(
     axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2, fontsize=8.5)
     if joint.counterexample is not None and joint.counterexample.load.stiffness == 0:
         load = joint.counterexample
+        across = np.log(load.load.inertia / inertias[0]) / np.log(inertias[-1] / inertias[0])
         axis.plot(load.load.inertia, 0, "v", color=BLACK, ms=7, zorder=5)
         axis.annotate(
-            f"{load.load.inertia:.2g} kg m$^2$: {load.frequency:.2g} Hz",
+            f"{load.load.inertia:.2g} kg m$^2$: {load.frequency:.3g} Hz",
             (load.load.inertia, 0),
             (0, 10),
             textcoords="offset points",
-            ha="center",
+            ha="left" if across < 0.25 else "right" if across > 0.75 else "center",
             fontsize=8.5,
         )
 

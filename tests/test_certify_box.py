@@ -178,6 +178,8 @@ def test_link_friction_counts_where_the_transmission_is_known():
     unsure = replace(held, uncertainty={"rotor_inertia": 0.03, "viscous_friction": 0.05})
     found = certify_box(unsure, block, "average", H)
     assert found.proven
+    # For given torque it is convex in the torque's scale: the ends of that prove nothing.
+    assert not certify_box(replace(held, torque_gain_error=0.001), block, "average", H).proven
     rng, box = np.random.default_rng(0), Box.of(unsure, block)
     for _ in range(30):
         there, scales = at(unsure, {name: rng.uniform(*box.ranges[name]) for name in POINTS})

@@ -237,8 +237,11 @@ def _proven(cell: Box, drive: Drive, block: NDArray[np.void], sampling: str, per
     (k_low, k), (c_low, c_high) = cell.ranges["stiffness"], cell.ranges["damping"]
     if not c_low > 0:
         return False
-    # Link friction damps the deflection, too, which the stand-in for the transmission does not bound.
-    friction = drive.link_friction if k_low == k and c_low == c_high else 0.0
+    # Link friction adds a convex term in transmission and torque scale, for which neither the stand-in nor
+    # the ends suffice: it counts where those are certain.
+    gain_low, gain_high = cell.ranges["torque_gain"]
+    certain = k_low == k and c_low == c_high and gain_low == gain_high
+    friction = drive.link_friction if certain else 0.0
     drive = _varied(drive, {"stiffness": k * np.sqrt(c_high / c_low), "damping": c_high})
     centre = cell.centre
     names = ("rotor_inertia", "viscous_friction", "torque_gain", "position_gain", "latency")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import warnings
 from collections.abc import Mapping
@@ -22,11 +23,12 @@ from dashpot.errors import InputError, InputWarning
 from dashpot.robot import Robot
 from dashpot.sampled import empty_block
 
+DOCUMENT = "docs/certificate.md"
 STATEMENT = (
     "A certified joint gives out no more energy than was put in, whatever passive load hangs on it; no "
     "passive mechanism, payload, pose or contact can make an arm of certified joints oscillate. "
     "Assumed: constant references, torques below their limits, linear drives within the stated box. "
-    "Backlash, presliding friction and a moving reference are outside; see docs/certificate.md."
+    f"Backlash, presliding friction and a moving reference are outside; see {DOCUMENT}."
 )
 
 
@@ -67,9 +69,10 @@ class JointCertificate:
         """Why the verdict is no, in words; empty where it is yes."""
         if self.certified:
             return ""
-        for found in (self.nominal, self.box.worst):
-            if found.reason:
-                return found.reason
+        if self.nominal.reason:
+            return self.nominal.reason
+        if self.box.worst.reason:
+            return f"at the worst point: {self.box.worst.reason}"
         if self.box.worst.value > 0:
             return self.box.reason
         return "the joint gives out energy at its worst frequency"
@@ -174,7 +177,7 @@ def _row(joint: JointCertificate) -> dict[str, Any]:
         "frequency_hz": worst.frequency if joint.nominal.passive else joint.nominal.frequency,
         "certified": joint.certified,
         "counterexample": None,
-        "margin": _finite(joint.margin),
+        "margin": joint.margin if math.isfinite(joint.margin) else None,
         "worst_point": dict(joint.box.point),
         "intervals": joint.nominal.intervals,
         "remainder": joint.nominal.remainder,

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from dashpot.certify.box import DRIVE
-from dashpot.certify.certificate import STATEMENT, Certificate, JointCertificate
+from dashpot.certify.certificate import DOCUMENT, STATEMENT, Certificate, JointCertificate
 from dashpot.commands.certify import file_names
 from dashpot.controller import JointGains
 from dashpot.drive import Drive
@@ -22,6 +22,7 @@ from dashpot.testbench import hidden, suggested_tap
 if TYPE_CHECKING:
     from dashpot.cli import Certify
 
+SLOWEST = 0.01  # [1/s] growth below which a simulation shows nothing in reasonable time
 SHORT = {
     "rotor_inertia": "inertia",
     "viscous_friction": "friction",
@@ -65,7 +66,10 @@ def show(
         console.print(
             f"[bold red]not certified[/]: {failed} of {len(certificate.joints)} joints", highlight=False
         )
-    console.print(STATEMENT, highlight=False, style="dim")
+    if certificate.certified:
+        console.print(STATEMENT, highlight=False, style="dim")
+    else:
+        console.print(f"What a certificate says and assumes: {DOCUMENT}", highlight=False, style="dim")
     if out is not None:
         pictures = out / f"{files[certificate.joints[0].name]}.png"
         more = " and so on" if len(certificate.joints) > 1 else ""
@@ -122,13 +126,15 @@ def _explain(
     console.print(
         f"  {escape(str(load))}" + (", at the worst point" if joint.nominal.passive else ""), highlight=False
     )
-    if bench is not None:
+    if bench is not None and load.growth < SLOWEST:
+        console.print("  too slow to see in the simulator", highlight=False, style="dim")
+    elif bench is not None:
         how = ""
         if hidden(drive, gains, load):
             how = " (there without Coulomb friction, which hides growth this slow)"
         console.print(
             f"  see it{how}: dashpot simulate {escape(str(bench / 'robot.toml'))} "
-            f"{escape(str(bench / 'controller.toml'))} --motion hold --tap {suggested_tap(drive, load):.2g}",
+            f"{escape(str(bench / 'controller.toml'))} --motion hold --tap {float(f'{suggested_tap(drive, load):.2g}'):g}",
             highlight=False,
             soft_wrap=True,
             style="dim",

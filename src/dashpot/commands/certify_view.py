@@ -129,12 +129,12 @@ def _explain(
     if bench is not None and load.growth < SLOWEST:
         console.print("  too slow to see in the simulator", highlight=False, style="dim")
     elif bench is not None:
-        how = ""
+        how, tap = "", f"{suggested_tap(drive, load):.2g}"
         if hidden(drive, gains, load):
             how = " (there without Coulomb friction, which hides growth this slow)"
         console.print(
             f"  see it{how}: dashpot simulate {escape(str(bench / 'robot.toml'))} "
-            f"{escape(str(bench / 'controller.toml'))} --motion hold --tap {float(f'{suggested_tap(drive, load):.2g}'):g}",
+            f"{escape(str(bench / 'controller.toml'))} --motion hold --tap {float(tap):g}",
             highlight=False,
             soft_wrap=True,
             style="dim",

@@ -197,7 +197,18 @@ def main(arguments: list[str] | None = None) -> None:
         except KeyboardInterrupt as stop:
             print("dashpot: stopped", file=sys.stderr)
             status = 143 if isinstance(stop, _Terminated) else 130
+            _leave_if_running(status)
     sys.exit(status)
+
+
+def _leave_if_running(status: int) -> None:
+    """Ends the process at once where the native loop still runs: its memory must not be freed under it."""
+    from dashpot.commands import NATIVE_LOOP
+
+    if any(thread.name == NATIVE_LOOP for thread in threading.enumerate()):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
 
 
 def _fail(message: str) -> int:

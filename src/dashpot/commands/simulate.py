@@ -24,7 +24,7 @@ from dashpot.trajectory import Trajectory, hold, multisine
 if TYPE_CHECKING:
     from dashpot.cli import Simulate
 
-from dashpot.commands import quiet_engine
+from dashpot.commands import NATIVE_LOOP, quiet_engine
 from dashpot.commands.simulate_view import draw, show
 
 LEAD_IN = 1.0  # [s] at rest before a motion
@@ -111,7 +111,7 @@ def _run(scenario: Scenario) -> Recording:
         except BaseException as error:
             failed.append(error)
 
-    thread = threading.Thread(target=work, daemon=True)
+    thread = threading.Thread(target=work, name=NATIVE_LOOP, daemon=True)
     thread.start()
     thread.join()
     if failed:

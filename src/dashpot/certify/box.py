@@ -31,8 +31,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dashpot.certify.exact import at_rest, crossings, positive, quadratic_form
-from dashpot.certify.index import Index, passivity_index, unfit
+from dashpot.certify.exact import holds
+from dashpot.certify.index import Index, passivity_index
 from dashpot.certify.joint import Scales, sampled_joint, uses
 from dashpot.certify.shadow import with_shadow
 from dashpot.certify.threads import one_thread
@@ -44,7 +44,8 @@ NARROW = 1e-3  # relative half-width below which cutting further proves nothing 
 INSIDE = 64  # points tried inside the box
 FINER = 1e-3  # relative step by which the search for the worst point goes down
 DRIVE = ("rotor_inertia", "viscous_friction", "stiffness", "damping")
-POINTS = (*DRIVE, "torque_gain", "position_gain", "latency")
+CONTINUOUS = (*DRIVE, "torque_gain", "position_gain")
+POINTS = (*CONTINUOUS, "latency")
 """Coordinates of a point of the box."""
 
 
@@ -82,6 +83,13 @@ class Box:
         ends = [sorted(set(self.ranges[name])) for name in names]
         for values in itertools.product(*ends):
             yield dict(zip(names, values, strict=True))
+
+    def proof_corners(self) -> Iterator[dict[str, float]]:
+        """Corners of what the proof does not treat otherwise: rotor, scales, and every latency."""
+        low, high = self.ranges["latency"]
+        for latency in range(int(low), int(high) + 1):
+            for corner in self.corners(("rotor_inertia", "viscous_friction", "torque_gain", "position_gain")):
+                yield corner | {"latency": float(latency)}
 
     def halves(self) -> tuple[Box, Box] | None:
         """Cut across the coordinate that is relatively widest; None where all are `NARROW`."""
@@ -145,7 +153,7 @@ def certify_box(
         latency_max: Longest latency [samples]; None: that of the block.
 
     Raises:
-        InputError: The sensor's latency is not a whole number of samples.
+        InputError: A coefficient is not finite, or the sensor's latency is not a whole number of samples.
     """
     box = Box.of(drive, block, latency_max)
     point, worst = worst_point(box, drive, block, sampling, period)
@@ -180,13 +188,7 @@ def worst_point(
     def below(point: Mapping[str, float], level: float) -> bool:
         there, scales = at(drive, point)
         joint = sampled_joint(there, block, sampling, period, scales)
-        with np.errstate(all="ignore"):
-            try:
-                rest = at_rest(joint)
-                form = None if unfit(rest) else quadratic_form(joint, level - there.link_friction, rest)
-                return form is None or len(crossings(form)) > 0
-            except (np.linalg.LinAlgError, ValueError):  # not finite somewhere: let the index say it
-                return True
+        return not holds(joint, level - there.link_friction)
 
     point = box.centre | {"latency": float(block["latency"])}
     worst = index(point)
@@ -206,7 +208,7 @@ def worst_point(
     step = 0.5
     while step > 0.03:
         moved = False
-        for name in POINTS[:6]:
+        for name in CONTINUOUS:
             low, high = box.ranges[name]
             for direction in (-step, step) if high > low else ():
                 trial = dict(point)
@@ -234,41 +236,55 @@ def _inside(box: Box) -> Iterator[dict[str, float]]:
 
 def _proven(cell: Box, drive: Drive, block: NDArray[np.void], sampling: str, period: float) -> bool:
     """Whether every corner of a cell passes the exact test of its tangent."""
-    (k_low, k), (c_low, c_high) = cell.ranges["stiffness"], cell.ranges["damping"]
-    if not c_low > 0:
+    if not cell.ranges["damping"][0] > 0:
         return False
-    # Link friction adds a convex term in transmission and torque scale, for which neither the stand-in nor
-    # the ends suffice: it counts where those are certain.
-    gain_low, gain_high = cell.ranges["torque_gain"]
-    certain = k_low == k and c_low == c_high and gain_low == gain_high
-    friction = drive.link_friction if certain else 0.0
-    drive = _varied(drive, {"stiffness": k * np.sqrt(c_high / c_low), "damping": c_high})
-    centre = cell.centre
-    names = ("rotor_inertia", "viscous_friction", "torque_gain", "position_gain", "latency")
-    latencies = range(int(cell.ranges["latency"][0]), int(cell.ranges["latency"][1]) + 1)
-    for latency in latencies:
-        # Stability with the link held is shown at one point; no eigenvalue can then leave the unit circle
-        # anywhere in the box, because the form would be singular there.
-        one = Box({**cell.ranges, "latency": (latency, latency)})
-        for corner in one.corners(names):
-            there, scales = at(drive, corner)
-            joint = sampled_joint(there, block, sampling, period, scales)
-            if joint.speed_in_sample:
-                return False
-            joint, loss = with_shadow(
-                joint,
-                there,
-                corner["rotor_inertia"] - centre["rotor_inertia"],
-                corner["viscous_friction"] - centre["viscous_friction"],
-                1 - centre["position_gain"] / corner["position_gain"],
-                friction,
-            )
-            with np.errstate(all="ignore"):
-                try:
-                    rest = at_rest(joint)
-                    form = None if unfit(rest) else quadratic_form(joint, -friction, rest, loss)
-                    if form is None or not positive(form):
-                        return False
-                except (np.linalg.LinAlgError, ValueError):  # not finite somewhere
-                    return False
-    return True
+    stand_in = StandIn.of(cell, drive)
+    return all(stand_in.holds(corner, block, sampling, period) for corner in cell.proof_corners())
+
+
+@dataclass(frozen=True)
+class StandIn:
+    """What takes the drive's place in the proof of a cell: the transmission that dissipates least.
+
+    Attributes:
+        drive: With that transmission.
+        centre: Middle of the cell, where the tangent touches.
+        friction: Link friction that counts [N m s/rad].
+    """
+
+    drive: Drive
+    centre: Mapping[str, float]
+    friction: float
+
+    @classmethod
+    def of(cls, cell: Box, drive: Drive) -> StandIn:
+        """The stand-in of a cell whose damping is above zero."""
+        (k_low, k), (c_low, c_high) = cell.ranges["stiffness"], cell.ranges["damping"]
+        # Link friction adds a convex term in transmission and torque scale, for which neither the stand-in
+        # nor the ends suffice: it counts where those are certain.
+        gain_low, gain_high = cell.ranges["torque_gain"]
+        certain = k_low == k and c_low == c_high and gain_low == gain_high
+        changes = {"stiffness": k * np.sqrt(c_high / c_low), "damping": c_high}
+        return cls(_varied(drive, changes), cell.centre, drive.link_friction if certain else 0.0)
+
+    def holds(
+        self, corner: Mapping[str, float], block: NDArray[np.void], sampling: str, period: float
+    ) -> bool:
+        """Whether one corner passes the exact test of its tangent, with a storage function.
+
+        Stability with the link held is looked at as well, at the corners: no eigenvalue can leave the unit
+        circle between them, because the form would be singular there.
+        """
+        there, scales = at(self.drive, corner)
+        joint = sampled_joint(there, block, sampling, period, scales)
+        if joint.speed_in_sample:
+            return False
+        joint, loss = with_shadow(
+            joint,
+            there,
+            corner["rotor_inertia"] - self.centre["rotor_inertia"],
+            corner["viscous_friction"] - self.centre["viscous_friction"],
+            1 - self.centre["position_gain"] / corner["position_gain"],
+            self.friction,
+        )
+        return holds(joint, -self.friction, loss, stored=True)

@@ -31,6 +31,7 @@ CIRCLE = 1e-6  # distance from the unit circle within which an eigenvalue may li
 SHORT = 1.2  # fastest eigenvalue times the first step: below pi/2 there is no conjugate point in it
 DOUBLINGS = 40
 RINGS = 0.9  # modulus above which a pole is looked around on the grid
+STABLE = 1e-9  # distance of the held joint's eigenvalues from the unit circle
 RESIDUAL = 1e-11  # of the Riccati equation, relative; sound solutions stay below 2e-12
 
 
@@ -115,6 +116,15 @@ def at_rest(joint: SampledJoint) -> Rest:
     if link == 0 or slope == 0:
         return Rest(np.inf, poles)
     return Rest(radius, poles, shape, momentum * torque / slope, -torque / (link * joint.period))
+
+
+def unfit(rest: Rest) -> str:
+    """Why no link may hang on a joint that is not even at rest with its link held; empty where it is."""
+    if not rest.radius < 1 - STABLE:
+        return "the joint with its link held is unstable"
+    if rest.stiffness < 0:
+        return "the position loop pushes the link away"
+    return ""
 
 
 @dataclass(frozen=True)
@@ -245,6 +255,24 @@ def positive(form: Form) -> bool:
     Either alone is right but for rounding, which is not the same in both.
     """
     return len(crossings(form)) == 0 and storage(form) is not None
+
+
+def holds(joint: SampledJoint, level: float, loss: Loss | None = None, *, stored: bool = False) -> bool:
+    """Whether a joint is fit to carry a link and its form lies above a level at all frequencies.
+
+    Args:
+        joint: The sampled joint.
+        level: [N m s/rad].
+        loss: Power to be subtracted as well.
+        stored: Ask for a storage function too, as a verdict must; the crossings alone are faster.
+    """
+    with np.errstate(all="ignore"):
+        try:
+            rest = at_rest(joint)
+            form = None if unfit(rest) else quadratic_form(joint, level, rest, loss)
+            return form is not None and (positive(form) if stored else not len(crossings(form)))
+        except (np.linalg.LinAlgError, ValueError):  # not finite somewhere
+            return False
 
 
 def storage(form: Form) -> Floats | None:

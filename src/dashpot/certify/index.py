@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dashpot.certify.exact import Rest, at_rest, crossings, positive, quadratic_form
+from dashpot.certify.exact import Rest, at_rest, crossings, positive, quadratic_form, unfit
 from dashpot.certify.joint import SampledJoint, Scales, sampled_joint
 from dashpot.certify.port import Port, lift, without_equilibria
 from dashpot.certify.threads import one_thread
@@ -17,7 +17,6 @@ from dashpot.sampled import Floats
 COARSE_INTERVALS, FIRST_INTERVALS, MOST_INTERVALS = 4, 8, 64
 SETTLED = 0.01  # relative difference between N intervals and the limit at which N is enough
 RESOLUTION = 1e-3  # of the index, relative
-STABLE = 1e-9  # distance of the held joint's eigenvalues from the unit circle
 ROUNDS = 60
 SPEED_IN_SAMPLE = (
     "point samples without a sensor filter also contain the link's velocity, which no finite index covers "
@@ -85,7 +84,7 @@ def passivity_index(
         scales: Departures of the signal path from nominal.
 
     Raises:
-        InputError: The sensor's latency is not a whole number of samples.
+        InputError: A coefficient is not finite, or the sensor's latency is not a whole number of samples.
     """
     joint = sampled_joint(drive, block, sampling, period, scales)
     with np.errstate(all="ignore"):
@@ -141,15 +140,6 @@ def settled(joint: SampledJoint, rest: Rest, intervals: int) -> Port:
     if rest.shape is None or rest.momentum is None:
         return port
     return without_equilibria(port, rest.shape, rest.momentum)
-
-
-def unfit(rest: Rest) -> str:
-    """Why no link may hang on a joint that is not even at rest with its link held; empty where it is."""
-    if not rest.radius < 1 - STABLE:
-        return "the joint with its link held is unstable"
-    if rest.stiffness < 0:
-        return "the position loop pushes the link away"
-    return ""
 
 
 def _closest_level(

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from dashpot.certify.exact import at_rest
-from dashpot.certify.index import unfit
+from dashpot.certify.exact import at_rest, unfit
 from dashpot.certify.joint import SampledJoint, Scales, sampled_joint, scaled
 from dashpot.certify.loads import GROWS, loops, radii
 from dashpot.certify.port import one_period

@@ -49,9 +49,14 @@ static void observe(dp_drive *d, const double *qpos, const double *qvel, double 
         tau += d->stiffness * clamp(e, d->half_gap);
     if (d->hysteresis > 0.0)
         tau -= slip(&d->hysteresis_z, de * dt, d->hysteresis_stiffness, d->hysteresis);
-    if (d->coulomb > 0.0) {
-        double elastic = slip(&d->friction_z, w * dt, d->presliding_stiffness, d->coulomb);
-        d->friction = clamp(elastic + d->presliding_damping * w, d->coulomb);
+    if (d->coulomb > 0.0 || d->stribeck > 0.0) {
+        double level = d->coulomb;
+        if (d->stribeck > 0.0) {
+            double ratio = w * d->stribeck_rate;
+            level += d->stribeck * exp(-ratio * ratio);
+        }
+        double elastic = slip(&d->friction_z, w * dt, d->presliding_stiffness, level);
+        d->friction = clamp(elastic + d->presliding_damping * w, level);
     }
     double seen = tau;
     if (d->sensor_delay > 0) {

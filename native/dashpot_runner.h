@@ -23,7 +23,8 @@ typedef struct {
     double stiffness, damping;        /* transmission k [N m/rad], c [N m s/rad] */
     double half_gap;                  /* backlash: the spring is slack for |e| < half_gap [rad] */
     double hysteresis;                /* limit of the Maxwell-slip element across the spring [N m] */
-    double coulomb;                   /* rotor friction limit [N m] */
+    double coulomb;                   /* rotor friction limit, sliding [N m] */
+    double stribeck, stribeck_rate;   /* breakaway above it [N m]; 1 / Stribeck velocity [s/rad] */
     double presliding_stiffness;      /* [N m/rad] */
     double presliding_damping;        /* [N m s/rad] */
     double stop_lower, stop_upper;    /* link angle at which the stops begin [rad] */

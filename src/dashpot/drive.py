@@ -12,6 +12,11 @@ from dashpot.tables import check_keys, check_numbers, from_table, number
 
 UNCERTAIN = ("rotor_inertia", "viscous_friction", "coulomb_friction", "stiffness", "damping")
 """Quantities for which `Drive.uncertainty` may give a relative half-width."""
+SLOWEST_STRIBECK = 1e-6  # [rad/s]; below it the law is a step, and its rate overflows
+
+# Presliding stiffness of Coulomb friction over the transmission's; assumed: some 1e-4 rad at the motor before
+# it slips are 1e-6 rad behind a gear of 100. A soft one makes a torque law hunt (docs/decisions.md).
+PRESLIDING = 30.0
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,9 @@ class Drive:
         name: Name of the joint in the robot model.
         rotor_inertia: m, Eq. (3) [kg m^2].
         viscous_friction: v, Eq. (1) [N m s/rad].
-        coulomb_friction: [N m].
+        coulomb_friction: tau_c, level of the sliding friction [N m].
+        stribeck_friction: tau_b, the level at which a resting rotor breaks away [N m]; 0: the Coulomb level.
+        stribeck_velocity: w_b [rad/s]: the level is ``tau_c + (tau_b - tau_c) exp(-(w/w_b)^2)``.
         stiffness: Transmission stiffness k [N m/rad].
         damping: Transmission damping c [N m s/rad].
         torque_limit: Largest torque of the drive [N m].
@@ -87,13 +94,18 @@ class Drive:
         hysteresis: Largest hysteresis torque of the transmission [N m].
         inner_loop: The robot's own torque loop, or None.
         servo: The robot's own position loop, or None.
+        command_latency: Longest delay from sending a torque to its taking effect, as identified [s]; None:
+            not known. `dashpot design` uses it.
         uncertainty: Relative half-widths of quantities in `UNCERTAIN` [-].
+        identified: Where identified values come from: log, digest, date and so on (`dashpot identify`).
     """
 
     name: str
     rotor_inertia: float = number("kg m^2", 1e-9, 1e3, typical=(1e-4, 20))
     viscous_friction: float = number("N m s/rad", 0, 1e4, typical=(1e-3, 500))
     coulomb_friction: float = number("N m", 0, 1e3, typical=(1e-3, 100), default=0.0)
+    stribeck_friction: float = number("N m", 0, 1e3, default=0.0)
+    stribeck_velocity: float = number("rad/s", 0, 1e3, default=0.0)
     stiffness: float = number("N m/rad", 0, 1e8, open_low=True, typical=(50, 1e6))
     damping: float = number("N m s/rad", 0, 1e5, typical=(1e-4, 1e3), default=0.0)
     torque_limit: float = number("N m", 0, 1e5, open_low=True, typical=(0.05, 5e3))
@@ -115,7 +127,9 @@ class Drive:
     hysteresis: float = number("N m", 0, 1e3, default=0.0)
     inner_loop: InnerLoop | None = None
     servo: Servo | None = None
+    command_latency: float | None = number("s", 0, 1, typical=(1e-5, 0.1), default=None)
     uncertainty: Mapping[str, float] = field(default_factory=dict)
+    identified: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_numbers(self, joint=self.name)
@@ -127,6 +141,21 @@ class Drive:
             raise InputError(
                 "must be 1 or 2", joint=self.name, quantity="sensor_order", value=self.sensor_order
             )
+        if self.stribeck_friction > 0:
+            if self.stribeck_friction < self.coulomb_friction:
+                raise InputError(
+                    f"must be 0 (none) or at least coulomb_friction, {self.coulomb_friction:g} N m",
+                    joint=self.name,
+                    quantity="stribeck_friction [N m]",
+                    value=self.stribeck_friction,
+                )
+            if self.stribeck_velocity < SLOWEST_STRIBECK:
+                raise InputError(
+                    f"must be at least {SLOWEST_STRIBECK:g} rad/s where there is a stribeck_friction",
+                    joint=self.name,
+                    quantity="stribeck_velocity [rad/s]",
+                    value=self.stribeck_velocity,
+                )
         check_uncertainty(self.uncertainty, joint=self.name)
 
     @classmethod
@@ -157,6 +186,15 @@ class Drive:
                 joint=name,
                 quantity="uncertainty",
                 value=uncertainty,
+            )
+        identified = values.get("identified", {})
+        if not isinstance(identified, dict):
+            raise InputError(
+                "must be a table, as dashpot identify writes it",
+                file=file,
+                joint=name,
+                quantity="identified",
+                value=identified,
             )
         return from_table(cls, values, file=file, joint=name)
 

@@ -1,9 +1,9 @@
 """The arm in MuJoCo: any MJCF or URDF with an elastic, friction-laden drive put into each joint.
 
 Each joint becomes two hinges in series on the same body: the rotor (its armature is the rotor inertia,
-its damping the viscous friction) and the transmission spring that carries the link. Coulomb friction,
-hysteresis, backlash, stops, the inner torque loop, the robot's own servo and the torque sensor run in the
-native loop (native/dashpot_runner.c) around ``mj_step``.
+its damping the viscous friction) and the transmission spring that carries the link. Coulomb and Stribeck
+friction, hysteresis, backlash, stops, the inner torque loop, the robot's own servo and the torque sensor run
+in the native loop (native/dashpot_runner.c) around ``mj_step``.
 """
 
 from __future__ import annotations
@@ -21,21 +21,19 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh, expm
 
 import dashpot._native as _native
-from dashpot.drive import Drive
+from dashpot.drive import PRESLIDING, Drive
 from dashpot.errors import InputError, InputWarning, ModelError
 from dashpot.payload import Payload, hang
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
 
-# Presliding stiffness of Coulomb friction over the transmission's; assumed: some 1e-4 rad at the motor before
-# it slips are 1e-6 rad behind a gear of 100. A soft one makes a torque law hunt (docs/decisions.md).
-PRESLIDING = 30.0
 PRESLIDING_STEP = 0.6  # largest product of time step and a stuck rotor's frequency; 2 would be unstable
 HYSTERESIS = 0.25  # stiffness of the hysteresis element over the transmission's; assumed
 SHORTEST_STEP = 1e-6  # [s]; a model that needs a shorter one has a wrong unit, or would run for hours
 STEP_FRACTION = 0.3  # largest product of time step and stiffest natural frequency; about 1 % error in it
 
 _HOT: tuple[str, ...] = ("stiffness", "damping", "half_gap", "hysteresis", "coulomb")
+_HOT += ("stribeck", "stribeck_rate")
 _HOT += ("presliding_stiffness", "presliding_damping", "stop_lower", "stop_upper")
 _HOT += ("torque_limit", "actuator_gain", "inner_gain")
 _INDICES = ("rotor_qpos", "rotor_dof", "spring_qpos", "spring_dof", "control")
@@ -219,6 +217,9 @@ def _drive_records(model: Any, robot: Robot, ranges: Sequence[tuple[float, float
         record["hysteresis"] = drive.hysteresis
         record["hysteresis_stiffness"] = HYSTERESIS * drive.stiffness
         record["coulomb"] = drive.coulomb_friction * (1 + inner)
+        if drive.stribeck_friction > 0:
+            record["stribeck"] = (drive.stribeck_friction - drive.coulomb_friction) * (1 + inner)
+            record["stribeck_rate"] = 1 / drive.stribeck_velocity
         record["stop_lower"], record["stop_upper"] = lower, upper
         record["stop_stiffness"] = 0.5 * drive.stiffness
         light = min(drive.rotor_inertia, inertia[spring.dofadr[0]])

@@ -89,7 +89,9 @@ def _toml(record: Drive | JointGains) -> str:
     lines = []
     for f in fields(record):
         value = getattr(record, f.name)
-        if value is None or value == f.default or (isinstance(value, Mapping) and not value):
+        if f.name == "identified" or value is None or value == f.default:
+            continue
+        if isinstance(value, Mapping) and not value:
             continue
         if isinstance(value, InnerLoop | Servo):
             inner = ", ".join(

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dashpot.certify.certificate import certify_joint
+from dashpot.certify.certificate import certify_joint, paired
 from dashpot.certify.joint import sampled_joint
 from dashpot.certify.loads import loops
-from dashpot.controller import Controller
+from dashpot.controller import Controller, JointGains
 from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Duty, Gains
 from dashpot.design.carried import carried
@@ -22,7 +22,7 @@ from dashpot.design.prover import NO_FRICTION
 from dashpot.design.search import CORNER, COSTLY, KD, RATIO, ZETA, G, JointSearch
 from dashpot.design.spec import Spec
 from dashpot.design.wishes import LIMITS, PRESETS, Wishes
-from dashpot.errors import InputError
+from dashpot.errors import InputError, InputWarning
 from dashpot.robot import Robot
 from dashpot.studies.designs import off, predicted
 from dashpot.studies.designs_bench import stop
@@ -270,10 +270,19 @@ def test_what_a_joint_carries_comes_from_the_model():
     assert carried(replace(robot, model=None), stated, 0.005)["joint7"].loaded == 0.4
 
 
-def test_identified_latency_is_designed_for():
-    robot = Robot.load("k807").with_drives({"joint5": {"command_latency": 0.007}})
-    for duty in duties(robot, Spec.load("track").changed(period=0.005)):
-        assert (duty.latency, duty.latency_max) == (2, 2)
+@pytest.mark.parametrize(
+    ("late", "samples"), [(0.0003, (0, 0)), (0.001, (0, 1)), (0.007, (1, 2)), (0.01, (2, 2))]
+)
+def test_identified_latency_is_designed_for_and_certified(late, samples):
+    robot = Robot.load("k807").with_drives({"joint5": {"command_latency": late}})
+    needed = duties(robot, Spec.load("track").changed(period=0.005))
+    for duty in needed:
+        assert (duty.latency, duty.latency_max) == samples
+    config = needed[4].config((JointGains("joint5", R=1.0, D=5.0),))
+    assert paired(robot, config)
+    if samples[1]:
+        with pytest.warns(InputWarning, match="raise its latency_max"):
+            paired(robot, replace(config, latency=0, latency_max=None))
 
 
 @pytest.mark.parametrize(

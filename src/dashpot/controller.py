@@ -28,6 +28,7 @@ from dashpot.sampled import (
 )
 from dashpot.tables import as_float, check_keys, check_numbers, from_table, number, read_toml
 
+SLIGHT = 0.1  # samples of latency that are not counted
 Sampling = Literal["average", "point"]
 Mode = Literal["off", "bypass", "active"]
 BUNDLED = ("k807-wrist", "k807-resonant", "fr3", "iiwa14")

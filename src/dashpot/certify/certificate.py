@@ -17,7 +17,7 @@ from dashpot.certify.counterexample import Counterexample, counterexample
 from dashpot.certify.index import Index, passivity_index
 from dashpot.certify.joint import sampled_joint
 from dashpot.certify.threads import one_thread
-from dashpot.controller import ControllerConfig, JointGains, joint_block
+from dashpot.controller import SLIGHT, ControllerConfig, JointGains, joint_block
 from dashpot.drive import Drive
 from dashpot.errors import InputError, InputWarning
 from dashpot.robot import Robot
@@ -118,6 +118,9 @@ def paired(robot: Robot, config: ControllerConfig) -> list[tuple[Drive, JointGai
 
     Raises:
         InputError: A joint of the controller is not one of the robot.
+
+    Warns:
+        InputWarning: A drive was identified to be later than the controller counts on.
     """
     gains = {joint.name: joint for joint in config.joints}
     for name in gains:
@@ -125,7 +128,20 @@ def paired(robot: Robot, config: ControllerConfig) -> list[tuple[Drive, JointGai
             raise InputError(
                 f"the robot has no such joint; it has {', '.join(robot.joints)}", file=config.file, joint=name
             )
-    return [(drive, gains[drive.name]) for drive in robot.drives if drive.name in gains]
+    pairs = [(drive, gains[drive.name]) for drive in robot.drives if drive.name in gains]
+    longest = config.latency if config.latency_max is None else config.latency_max
+    for drive, _ in pairs:
+        if (longest + SLIGHT) * config.period < (drive.command_latency or 0.0):
+            message = InputError(
+                f"is more than the {longest} samples of {config.period:g} s that the controller counts on; "
+                "raise its latency_max",
+                file=robot.file,
+                joint=drive.name,
+                quantity="command_latency [s]",
+                value=drive.command_latency,
+            )
+            warnings.warn(str(message), InputWarning, stacklevel=2)
+    return pairs
 
 
 @one_thread

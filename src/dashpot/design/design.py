@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dashpot.certify.threads import one_thread
-from dashpot.controller import ControllerConfig
+from dashpot.controller import SLIGHT, ControllerConfig
 from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Duty
 from dashpot.design.carried import carried
@@ -128,9 +128,9 @@ def duties(robot: Robot, spec: Spec) -> list[Duty]:
     found = carried(robot, spec, period)
     result = []
     for drive in drives:
-        late = math.ceil((drive.command_latency or 0.0) / period - 1e-6)
-        latency = late if spec.latency is None else spec.latency
-        latest = max(latency, late) if spec.latency_max is None else spec.latency_max
+        late = (drive.command_latency or 0.0) / period
+        latency = math.floor(late + 0.5) if spec.latency is None else spec.latency
+        latest = max(latency, math.ceil(late - SLIGHT)) if spec.latency_max is None else spec.latency_max
         what = found[drive.name]
         result.append(
             Duty(

@@ -1,0 +1,137 @@
+"""Tables of ``dashpot design``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from dashpot.commands.design_files import GAINS
+from dashpot.commands.design_quantities import (
+    QUANTITIES,
+    binding_text,
+    significant,
+)
+from dashpot.commands.design_words import assumptions, conflict_lines, sinking
+from dashpot.design.design import Design, JointDesign
+from dashpot.robot import Robot
+
+if TYPE_CHECKING:
+    from dashpot.cli import Design as Options
+    from dashpot.design.candidates import Duty
+
+COLUMNS = ("stop_time", "travel", "hold", "creep", "load_error", "error_ratio", "noise", "damping_ratio")
+"""Of the table of predictions; authority is in the report."""
+
+
+def show(result: Design, needed: Sequence[Duty], robot: Robot, options: Options) -> None:
+    """Prints gains, predictions, conflicts, assumptions and what to run next."""
+    console = Console()
+    done = [joint for joint in result.joints if joint.found is not None]
+    if done:
+        console.print(_gains(result, done))
+        console.print()
+        console.print(_predictions(result, done))
+        console.print(
+            "predicted with the drive as stated; limits are kept with the weakest torque channel it states "
+            "(report). margin: worst index over that of the drive alone",
+            highlight=False,
+            style="dim",
+        )
+        console.print()
+    if note := sinking(result):
+        console.print(f"[yellow]{escape(note)}[/]", highlight=False)
+        console.print()
+    for joint in result.joints:
+        if joint.conflict is not None:
+            console.print(
+                f"[red]{escape(joint.name)}[/]: {escape(conflict_lines(joint)[0])}", highlight=False
+            )
+            for line in conflict_lines(joint)[1:]:
+                console.print(f"  {escape(line)}", highlight=False)
+    if not result.feasible:
+        console.print()
+    console.print(f"Assumed: {escape(assumptions(result, needed[0]))}.", highlight=False, style="dim")
+    console.print()
+    _end(console, result, robot, options)
+
+
+def _end(console: Console, result: Design, robot: Robot, options: Options) -> None:
+    out = options.out
+    if not result.feasible:
+        failed = sum(joint.found is None for joint in result.joints)
+        console.print(
+            f"[bold red]no design[/]: {failed} of {len(result.joints)} joints have no certified gains; no "
+            "controller is written",
+            highlight=False,
+        )
+        console.print(f"open {escape(str(out / 'report.html'))}", highlight=False)
+        return
+    console.print("[bold green]every joint certified[/]", highlight=False)
+    name, controller = escape(options.robot), escape(str(out / "controller.toml"))
+    commands = [f"open {escape(str(out / 'report.html'))}", f"dashpot certify {name} {controller}"]
+    if robot.model is not None:
+        spec, load = result.spec, ""
+        if spec.payload > 0:
+            load = f" --payload {spec.payload:g}"
+            if any(spec.offset):
+                load += " --offset " + " ".join(f"{part:g}" for part in spec.offset)
+        release = " --release 3" if spec.loop else ""
+        commands.append(f"dashpot simulate {name} {controller}{load}{release}")
+    for command in commands:
+        console.print(command, highlight=False, soft_wrap=True)
+
+
+def _new_table(title: str) -> Table:
+    table = Table(
+        title=escape(title),
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+        collapse_padding=True,
+    )
+    table.add_column("joint")
+    return table
+
+
+def _gains(result: Design, done: Sequence[JointDesign]) -> Table:
+    spec = result.spec
+    table = _new_table(f"{result.robot}: gains ({spec.preset if spec.file is None else spec.file.name})")
+    for name in (*GAINS, "margin"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("limited by")
+    for joint in done:
+        assert joint.found is not None
+        gains = joint.found.gains.joint(joint.name)
+        names = [
+            binding_text(name, joint.wishes.limits, joint.wishes.margin).replace(" of limit", "")
+            for name in joint.found.binding
+        ]
+        table.add_row(
+            escape(joint.name),
+            *(f"{getattr(gains, name):g}" for name in GAINS),
+            significant(joint.found.margin, 2),
+            escape(", ".join(names)) or "nothing: best there is",
+        )
+    return table
+
+
+def _predictions(result: Design, done: Sequence[JointDesign]) -> Table:
+    columns = [name for name in COLUMNS if name in done[0].predicted]
+    if not any(joint.predicted["creep"] for joint in done):
+        columns.remove("creep")
+    table = _new_table("predicted")
+    for name in columns:
+        quantity = QUANTITIES[name]
+        unit = quantity.unit.replace("% of limit", "%")
+        table.add_column(escape(f"{quantity.head}\n[{unit or '-'}]"), justify="right", no_wrap=True)
+    for joint in done:
+        table.add_row(
+            escape(joint.name), *(QUANTITIES[name].shown(joint.predicted[name]) for name in columns)
+        )
+    return table

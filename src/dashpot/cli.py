@@ -51,11 +51,14 @@ class Simulate:
     offset: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X [Y Z]")] = (0.0,)
     """Its centre in the flange frame [m]: one number along x, or three. At the k807's home pose the
     flange's x axis points up."""
-    motion: Literal["multisine", "hold"] = "multisine"
-    """Random motion of all joints around home, or rest at home."""
+    motion: Annotated[str, tyro.conf.arg(metavar="multisine|hold|FILE")] = "multisine"
+    """Random motion of all joints around home, rest at home, or a CSV file with columns time [s],
+    <joint>/position [rad] and, if known, <joint>/velocity and <joint>/acceleration, as of dashpot excite."""
     amplitude: Annotated[float, tyro.conf.arg(metavar="RAD")] = 0.3
-    """Of the motion, per joint [rad]."""
-    duration: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 6.0
+    """Of the multisine, per joint [rad]."""
+    duration: Annotated[
+        float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: 6, or the whole file)")
+    ] = None
     """Of the motion, after 1 s at rest [s]."""
     release: Annotated[
         float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: never)")
@@ -71,6 +74,8 @@ class Simulate:
     """Seed of motion and sensor noise."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/simulate")
     """Folder for recording.npz and simulate.png; replaced as a whole."""
+    log: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Also write what the robot would have logged, for dashpot identify: .csv, .parquet or .mcap."""
 
     def run(self) -> int:
         """Runs the command."""
@@ -128,11 +133,253 @@ class Map:
         return map_gains(self)
 
 
+@dataclass
+class Design:
+    """Design gains from what is wanted of the joints, certified over the whole uncertainty of the drives.
+
+    Example: dashpot design fr3 track --payload 3 --stop-time 0.05 --error-ratio 0.15
+
+    Presets: brake stops as short as possible, without position loop; track makes the error under load small;
+    gentle does so with less torque, more damping and more margin. Flags replace what the specification says.
+    Exit status: 0 every joint has certified gains, 1 wishes conflict (it says which, and what would help), 2
+    bad input.
+    """
+
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
+    """Robot TOML, or k807, fr3, iiwa14."""
+    spec: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SPEC")] = "track"
+    """Specification TOML, or brake, track, gentle."""
+    joint: Annotated[
+        tuple[str, ...] | None,
+        tyro.conf.arg(metavar="JOINT [JOINT ...]", help_behavior_hint="(default: all)"),
+    ] = None
+    """Joints to design; the others stay under the robot's own position loop."""
+    payload: Annotated[
+        float | None, tyro.conf.arg(metavar="KG", help_behavior_hint="(default: as in SPEC, else 0)")
+    ] = None
+    """Largest payload on the flange [kg]."""
+    offset: Annotated[
+        tuple[float, ...] | None,
+        tyro.conf.arg(metavar="X [Y Z]", help_behavior_hint="(default: as in SPEC, else 0)"),
+    ] = None
+    """Its centre in the flange frame [m]: one number along x, or three."""
+    pose: Annotated[
+        Literal["worst", "home"] | None,
+        tyro.conf.arg(metavar="worst|home", help_behavior_hint="(default: as in SPEC, else worst)"),
+    ] = None
+    """Poses whose inertia and load count: all over the joints' ranges, or home."""
+    gravity_compensated: Annotated[
+        Literal["yes", "no"] | None,
+        tyro.conf.arg(metavar="yes|no", help_behavior_hint="(default: as in SPEC, else yes)"),
+    ] = None
+    """The robot carries its own weight, so that only the payload's is a load."""
+    minimise: Annotated[
+        Literal[
+            "travel",
+            "stop_time",
+            "creep",
+            "load_error",
+            "error_ratio",
+            "noise",
+            "authority",
+            "damping_ratio",
+        ]
+        | None,
+        tyro.conf.arg(metavar="QUANTITY", help_behavior_hint="(default: as in SPEC)"),
+    ] = None
+    """What to make as small as possible within the limits (damping_ratio: large): travel, stop_time, creep,
+    load_error, error_ratio, noise, authority or damping_ratio."""
+    stop_time: Annotated[
+        float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: as in SPEC)")
+    ] = None
+    """Longest time to stop once the encoder is lost [s]."""
+    travel: Annotated[
+        float | None, tyro.conf.arg(metavar="RAD", help_behavior_hint="(default: as in SPEC)")
+    ] = None
+    """Farthest way in 5 s after losing the encoder, the payload pulling on [rad]."""
+    creep: Annotated[
+        float | None, tyro.conf.arg(metavar="RAD/S", help_behavior_hint="(default: as in SPEC)")
+    ] = None
+    """Fastest sag of the released joint under the payload [rad/s]; 0: friction must hold it."""
+    load_error: Annotated[
+        float | None, tyro.conf.arg(metavar="RAD", help_behavior_hint="(default: as in SPEC)")
+    ] = None
+    """Largest position error under the payload [rad]."""
+    error_ratio: Annotated[
+        float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(default: as in SPEC)")
+    ] = None
+    """Largest error under load over that of the position loop alone [-]."""
+    noise: Annotated[
+        float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(default: as in SPEC)")
+    ] = None
+    """Largest RMS of the torque command from sensor noise, over the torque limit [-]."""
+    authority: Annotated[
+        float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(default: as in SPEC)")
+    ] = None
+    """Largest share of the torque limit that may be asked for [-]."""
+    damping_ratio: Annotated[
+        float | None, tyro.conf.arg(metavar="RATIO", help_behavior_hint="(default: as in SPEC)")
+    ] = None
+    """Least damping ratio of the position loop [-]."""
+    margin: Annotated[
+        float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(default: as in SPEC)")
+    ] = None
+    """Least passivity index over the whole uncertainty, over that of the drive alone [-]."""
+    speed: Annotated[
+        float | None, tyro.conf.arg(metavar="RAD/S", help_behavior_hint="(default: as in SPEC, else 0.5)")
+    ] = None
+    """Joint speed from which it must stop [rad/s]."""
+    residual_speed: Annotated[
+        float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(default: as in SPEC, else 0.05)")
+    ] = None
+    """Share of it below which a joint has stopped [-]."""
+    jump: Annotated[
+        float | None, tyro.conf.arg(metavar="RAD", help_behavior_hint="(default: as in SPEC, else 0.02)")
+    ] = None
+    """Position error whose correction must keep within the authority [rad]."""
+    period: Annotated[
+        float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: as in SPEC, else 0.001)")
+    ] = None
+    """Sample period of the controller [s]."""
+    latency: Annotated[
+        int | None,
+        tyro.conf.arg(
+            metavar="SAMPLES", help_behavior_hint="(default: as in SPEC, else as identified, or 0)"
+        ),
+    ] = None
+    """Whole samples from computing a torque to its taking effect."""
+    latency_max: Annotated[
+        int | None,
+        tyro.conf.arg(metavar="SAMPLES", help_behavior_hint="(default: as in SPEC, else the latency)"),
+    ] = None
+    """The longest it may be; the certificate covers all up to it."""
+    sampling: Annotated[
+        Literal["average", "point"] | None,
+        tyro.conf.arg(
+            metavar="average|point",
+            help_behavior_hint="(default: as in SPEC, else point where every drive filters its sensor)",
+        ),
+    ] = None
+    """Torque samples are means over the last period, or the latest value."""
+    form: Annotated[
+        Literal["implicit", "explicit"] | None,
+        tyro.conf.arg(metavar="implicit|explicit", help_behavior_hint="(default: as in SPEC, else implicit)"),
+    ] = None
+    """Discretisation of the law."""
+    workers: Annotated[
+        int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: one per core)")
+    ] = None
+    """Processes that share the joints."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print the result as JSON; the folder is written all the same."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/design")
+    """Folder for controller.toml, spec.toml, report.html, design.json and a picture per joint; replaced as a
+    whole."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from dashpot.commands.design import design
+
+        return design(self)
+
+
+@dataclass
+class Excite:
+    """Make a safe motion that tells the drives' inertia and friction apart; log it, then dashpot identify.
+
+    Self-collision and surroundings are not checked: look at the motion in simulation first.
+    """
+
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
+    """Robot TOML with a model, or k807, fr3, iiwa14."""
+    controller: Annotated[
+        str | None, tyro.conf.arg(metavar="CONTROLLER", help_behavior_hint="(default: 5 ms)")
+    ] = None
+    """Controller that will run the motion: its period is taken."""
+    payload: Annotated[
+        tuple[float, ...], tyro.conf.arg(metavar="KG [KG ...]", help_behavior_hint="(default: none)")
+    ] = ()
+    """Masses on the flange, one at a time, with which torques must stay within limits [kg]."""
+    offset: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X [Y Z]")] = (0.0,)
+    """Their centre in the flange frame [m]: one number along x, or three."""
+    joints: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="JOINT [JOINT ...]", help_behavior_hint="(default: all)")
+    ] = ()
+    """Joints that move; the others rest at home."""
+    duration: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 45.0
+    """Of the motion [s]."""
+    amplitude: Annotated[float, tyro.conf.arg(metavar="RAD")] = 0.4
+    """Farthest from home [rad]; stops of the model are kept 0.1 rad away besides."""
+    speed: Annotated[float, tyro.conf.arg(metavar="RAD/S")] = 0.5
+    """Fastest joint speed [rad/s]."""
+    torque_share: Annotated[float, tyro.conf.arg(metavar="SHARE")] = 0.6
+    """Largest motor torque, as a share of each drive's torque_limit."""
+    seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """Seed of the search for a motion."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/excite")
+    """Folder for motion.csv and a picture; replaced as a whole."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from dashpot.commands.excite import excite
+
+        return excite(self)
+
+
+@dataclass
+class Identify:
+    """Identify inertia, friction, torque sensor, latency and transmission of the drives from a log.
+
+    Everything is SI and on the link side of the gear; docs/logs.md lists columns and topics. Exit status: 0
+    everything identified, 1 something is refused (it says what, why, and which motion would do), 2 bad input.
+    """
+
+    log: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG")]
+    """Log: .csv, .parquet or .mcap, with time [s] and per joint command [N m], effort (sensed) [N m],
+    position [rad], velocity [rad/s] and, if measured, link_position [rad]."""
+    robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")]
+    """Robot TOML, or k807, fr3, iiwa14: what is known so far."""
+    joint: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="JOINT [JOINT ...]", help_behavior_hint="(default: all)")
+    ] = ()
+    """Joints to identify."""
+    scale: Annotated[
+        float | None, tyro.conf.arg(metavar="ERROR", help_behavior_hint="(default: estimated)")
+    ] = None
+    """Relative scale error of the torque sensors [-], where it is known: 0.01 reads 1 % too much."""
+    sampling: Annotated[
+        Literal["average", "point"] | None,
+        tyro.conf.arg(help_behavior_hint="(default: what the log says, else point)"),
+    ] = None
+    """Torque samples are means over the last period, or the latest value."""
+    states: Annotated[str, tyro.conf.arg(metavar="TOPIC")] = "/joint_states"
+    """Topic (MCAP, PlotJuggler) of position, velocity and sensed torque."""
+    commands: Annotated[str, tyro.conf.arg(metavar="TOPIC")] = "/joint_command"
+    """Topic of the torque command."""
+    links: Annotated[str, tyro.conf.arg(metavar="TOPIC")] = "/link_states"
+    """Topic of the link-side position."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print the results as JSON."""
+    in_place: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Also write the result over ROBOT itself."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/identify")
+    """Folder for the new robot TOML, a picture per joint and identify.json; replaced as a whole."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from dashpot.commands.identify import identify
+
+        return identify(self)
+
+
 Command = (
     Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Certify, tyro.conf.subcommand("certify")]
     | Annotated[Map, tyro.conf.subcommand("map")]
+    | Annotated[Design, tyro.conf.subcommand("design")]
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
+    | Annotated[Excite, tyro.conf.subcommand("excite")]
+    | Annotated[Identify, tyro.conf.subcommand("identify")]
 )
 
 

@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 import threading
 import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dashpot.controller import Controller, load_controller
 from dashpot.errors import InputError, InputWarning
+from dashpot.log import from_recording
+from dashpot.logfiles import check_log_path, write_log
+from dashpot.motionfile import read_motion
 from dashpot.output import whole_folder
 from dashpot.payload import Payload
 from dashpot.plant import Plant, build
@@ -28,12 +32,15 @@ from dashpot.commands import NATIVE_LOOP, quiet_engine
 from dashpot.commands.simulate_view import draw, show
 
 LEAD_IN = 1.0  # [s] at rest before a motion
+DURATION = 6.0  # [s] of a motion that does not say
 MAX_TICKS = 1_000_000  # of one recording: about 1 GB of memory for seven joints
 
 
 def simulate(options: Simulate) -> int:
     """``dashpot simulate``; returns the exit status: 1 if the simulation diverged."""
     _check(options)
+    if options.log is not None:
+        check_log_path(options.log, "--log")
     quiet_engine()
     robot, config = Robot.load(options.robot), load_controller(options.controller)
     controller = Controller.from_config(config, robot.drives)
@@ -62,6 +69,15 @@ def simulate(options: Simulate) -> int:
         }
         recording.save(folder / "recording.npz")
         save(draw(recording, controller, options), folder / "simulate")
+    if options.log is not None:
+        log = from_recording(
+            recording,
+            controller.sampling,
+            drives=robot.drives,
+            trajectory=path,
+            controlled=controller.joints,
+        )
+        write_log(log, options.log)  # last: it may be in the folder that has just been replaced
     show(recording, robot, controller, plant, options)
     return 1 if recording.diverged_at is not None else 0
 
@@ -79,6 +95,8 @@ def _check(options: Simulate) -> None:
         ("seed", "-", 0.0, math.inf),
     ):
         value = getattr(options, key)
+        if value is None:
+            continue
         rule = ""
         if isinstance(value, float) and not math.isfinite(value):
             rule = "must be finite"
@@ -120,17 +138,29 @@ def _run(scenario: Scenario) -> Recording:
 
 
 def _path(options: Simulate, robot: Robot, period: float) -> Trajectory:
-    if options.duration > MAX_TICKS * period:
+    if options.motion not in ("multisine", "hold"):
+        return _from_file(options, robot, period)
+    duration = DURATION if options.duration is None else options.duration
+    if duration > MAX_TICKS * period:
         raise InputError(
             f"must be at most {MAX_TICKS * period:g} s, {MAX_TICKS} ticks of {period:g} s",
             quantity="--duration [s]",
-            value=options.duration,
+            value=duration,
         )
     if options.motion == "hold":
-        return hold(robot.home, options.duration, period)
-    return multisine(
-        robot.home, options.duration, period, options.seed, amplitude=options.amplitude, lead_in=LEAD_IN
-    )
+        return hold(robot.home, duration, period)
+    return multisine(robot.home, duration, period, options.seed, amplitude=options.amplitude, lead_in=LEAD_IN)
+
+
+def _from_file(options: Simulate, robot: Robot, period: float) -> Trajectory:
+    path = Path(options.motion)
+    if not path.exists():
+        raise InputError(
+            'must be "multisine", "hold" or a CSV file, and there is no such file',
+            quantity="--motion",
+            value=options.motion,
+        )
+    return read_motion(path, robot, period, lead_in=LEAD_IN, duration=options.duration, most=MAX_TICKS)
 
 
 def _warn_of_range(plant: Plant, path: Trajectory, options: Simulate) -> None:
@@ -138,13 +168,15 @@ def _warn_of_range(plant: Plant, path: Trajectory, options: Simulate) -> None:
     for drive, record, q in zip(plant.robot.drives, plant.drives, path.position.T, strict=True):
         lower, upper = float(record["stop_lower"]), float(record["stop_upper"])
         if q.min() < lower or q.max() > upper:
+            named = options.motion in ("multisine", "hold")
             message = InputError(
                 f"runs into a stop: the motion covers {q.min():.3g} to {q.max():.3g} rad, the joint may "
-                f"move from {lower:.4g} to {upper:.4g} rad; lower it or change home",
+                f"move from {lower:.4g} to {upper:.4g} rad; "
+                + ("lower it or change home" if named else "change the motion"),
                 file=plant.robot.file,
                 joint=drive.name,
-                quantity="--amplitude [rad]",
-                value=options.amplitude,
+                quantity="--amplitude [rad]" if named else "--motion",
+                value=options.amplitude if named else options.motion,
             )
             warnings.warn(str(message), InputWarning, stacklevel=2)
 

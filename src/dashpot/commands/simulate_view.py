@@ -107,6 +107,14 @@ def show(recording: Recording, robot: Robot, controller: Controller, plant: Plan
         share = 100 * ((recording.status & TORQUE_LIMITED) != 0).mean()
         console.print(f"[yellow]torque limit reached[/] in {share:.1f} % of the ticks", highlight=False)
     console.print(f"seed {options.seed}; open {escape(str(options.out / 'simulate.png'))}", highlight=False)
+    if options.log is not None:
+        # A CSV file cannot say how its torque was sampled.
+        said = "" if options.log.suffix.lower() != ".csv" else f" --sampling {controller.sampling}"
+        console.print(
+            f"next: dashpot identify {escape(str(options.log))} --robot {escape(options.robot)}{said}",
+            highlight=False,
+            soft_wrap=True,
+        )
 
 
 def _table(title: str) -> Table:

@@ -40,6 +40,7 @@ LAST = 0.008  # logarithmic step at which the search ends
 ROUGH, FINE = 0.3, 2  # after this share of the coarse steps, only so many columns are followed
 SURE = 0.7  # of the residual speed, below which a swing must stay to count as stopped
 MISSED = 100.0  # merit of a candidate that misses a limit, and more the more it does
+AT_ONCE = 4000  # motions simulated side by side
 LARGEST = 1e6  # value of a quantity beyond which it gets no worse
 MOST_STEPS = 20  # lattices around one column
 ROUNDS = 6  # of searching again after a proof has failed
@@ -162,8 +163,10 @@ class JointSearch:
         keys = [(name, *key) for key in zip(laws.R.tolist(), laws.D.tolist(), laws.K.tolist(), strict=True)]
         new = [i for i, key in enumerate(keys) if key not in self._motions]
         if new:
-            found = function(self.assured, laws[new]).tolist()
-            self._motions.update((keys[i], value) for i, value in zip(new, found, strict=True))
+            for start in range(0, len(new), AT_ONCE):
+                some = new[start : start + AT_ONCE]
+                found = function(self.assured, laws[some]).tolist()
+                self._motions.update((keys[i], value) for i, value in zip(some, found, strict=True))
         return np.array([self._motions[key] for key in keys])[which]
 
     def kept(self, name: str, gains: Gains) -> NDArray[np.bool_]:

@@ -1,0 +1,58 @@
+"""``dashpot excite``."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from dashpot.commands import quiet_engine
+from dashpot.commands.excite_view import draw, show
+from dashpot.controller import load_controller
+from dashpot.errors import InputError
+from dashpot.excite import Limits
+from dashpot.excite import excite as search
+from dashpot.motionfile import write_motion
+from dashpot.output import whole_folder
+from dashpot.payload import Payload
+from dashpot.plots import save
+from dashpot.robot import Robot
+
+if TYPE_CHECKING:
+    from dashpot.cli import Excite
+
+PERIOD = 0.005  # [s] of motion.csv where no controller gives one
+
+
+def excite(options: Excite) -> int:
+    """``dashpot excite``; returns the exit status."""
+    robot = Robot.load(options.robot)
+    limits = Limits(options.amplitude, options.speed, options.torque_share)
+    if options.seed < 0:
+        raise InputError("must not be negative", quantity="--seed", value=options.seed)
+    period = PERIOD if options.controller is None else load_controller(options.controller).period
+    payloads = [Payload(mass, _offset(options.offset)) for mass in options.payload]
+    quiet_engine()
+    found = search(
+        robot,
+        duration=options.duration,
+        period=period,
+        joints=options.joints,
+        payloads=payloads,
+        limits=limits,
+        seed=options.seed,
+    )
+    with whole_folder(options.out) as folder:
+        write_motion(folder / "motion.csv", found.trajectory, robot.joints)
+        save(draw(found, limits), folder / "motion")
+    show(found, limits, options)
+    return 0
+
+
+def _offset(offset: tuple[float, ...]) -> float | tuple[float, float, float]:
+    """As `Payload` takes it."""
+    match offset:
+        case (x,) if math.isfinite(x):
+            return x
+        case (x, y, z) if all(map(math.isfinite, offset)):
+            return x, y, z
+    raise InputError("must be one finite number or three", quantity="--offset [m]", value=offset)

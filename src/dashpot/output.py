@@ -36,12 +36,15 @@ def whole_folder(target: Path) -> Iterator[Path]:
         token = secrets.token_hex(4)
         work, old = (place.with_name(f".{place.name}.{token}.{end}") for end in ("part", "old"))
         created = [parent for parent in place.parents if not parent.exists()]
-        work.mkdir(parents=True)
     except InputError:
         raise
     except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: links in a circle
         raise refuse(f"cannot be created: {getattr(error, 'strerror', None) or error}") from None
     try:
+        try:  # in here, so that a signal that comes right after it finds it removed
+            work.mkdir(parents=True)
+        except OSError as error:
+            raise refuse(f"cannot be created: {error.strerror or error}") from None
         yield work
         (work / MARKER).touch()
         for _ in range(ATTEMPTS):

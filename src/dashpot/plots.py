@@ -43,15 +43,16 @@ def new_figure(rows: int, columns: int, width: float, height: float, **options: 
     )
 
 
-def save(figure: Figure, path: Path) -> list[Path]:
-    """Writes ``path`` as PNG and PDF and closes the figure; returns the two paths."""
+def save(figure: Figure, path: Path, *, pdf: bool = True) -> list[Path]:
+    """Writes ``path`` as PNG, and as PDF unless told not to, and closes the figure; returns the paths."""
     paths = [path.with_suffix(".png"), path.with_suffix(".pdf")]
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")  # a name given by the user
         figure.savefig(paths[0])
-        figure.savefig(paths[1], metadata={"CreationDate": None})
+        if pdf:
+            figure.savefig(paths[1], metadata={"CreationDate": None})
     plt.close(figure)
-    return paths
+    return paths[: 1 + pdf]
 
 
 __all__ = [

@@ -128,7 +128,7 @@ def _design_and_draw(task: Task) -> JointDesign:
         from dashpot.commands.design_plots import draw
         from dashpot.plots import save
 
-        save(draw(result), place)
+        save(draw(result), place, pdf=False)
     return result
 
 

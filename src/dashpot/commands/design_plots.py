@@ -27,7 +27,7 @@ SILENT = 1e-12  # torque feedback that is none; `move` wants controllers that he
 EDGE = 1e-3  # logarithm by which a limit may seem broken by rounding
 NONE = 1e-9  # in units of people: a quantity that is zero but for rounding
 NO_LOAD = 1e-9  # [N m]
-ALSO = 6  # certified gains at the edge that are tested to the end
+ALSO = 2  # certified gains at the edge that are tested to the end
 LIMITS: dict[str, tuple[str, Any]] = {
     "authority": (VERMILLION, "--"),
     "error_ratio": (GREEN, ":"),

@@ -24,7 +24,7 @@ from dashpot.design.wishes import NEED_LOOP, Wishes
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
 
-FRONT = 7  # points of the trade-off that are tested to the end
+FRONT = 5  # points of the trade-off that are tested to the end
 PREDICTED = (
     "travel",
     "stop_time",

@@ -1,4 +1,4 @@
-"""The linearised sampled arm against the nonlinear simulation, and the facts of THEORY section 6."""
+"""The linearised sampled arm against the nonlinear simulation, and the known facts of one sampled joint."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_a_sensor_filter_adds_its_poles_and_keeps_constant_torques(tmp_path, ord
     assert filtered.read[0, 0] @ x == pytest.approx(0.2 / (0.2 + 0.05), rel=1e-6)
 
 
-# --- one joint: what THEORY section 6 says --------------------------------------------------------
+# --- one joint: windows of oscillation ------------------------------------------------------------
 
 
 def radius(folder, J, R, D, K, kp=0.0, kd=0.0, form="explicit", sampling="average", latency=0):

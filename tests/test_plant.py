@@ -650,7 +650,7 @@ def test_noise_has_its_size_and_is_independent_between_joints_and_seeds(tmp_path
     assert (np.abs(noise[0]) < 0.2).mean() == pytest.approx(0.683, abs=0.03)
 
 
-# --- the law on one joint: THEORY section 3 -------------------------------------------------------
+# --- the law on one joint: hold, creep, drift -----------------------------------------------------
 
 LAWS = [(10.0, 6.0, 40.0), (5.0, 3.0, 0.0), (3.0, 2.5, 10.0)]
 

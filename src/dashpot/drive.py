@@ -178,24 +178,14 @@ class Drive:
                         "must be a table", file=file, joint=name, quantity=key, value=values[key]
                     )
                 values[key] = from_table(kind, values[key], file=file, joint=f"{name}.{key}")
-        uncertainty = values.get("uncertainty", {})
-        if not isinstance(uncertainty, dict):
-            raise InputError(
-                "must be a table, e.g. { rotor_inertia = 0.15 }",
-                file=file,
-                joint=name,
-                quantity="uncertainty",
-                value=uncertainty,
-            )
-        identified = values.get("identified", {})
-        if not isinstance(identified, dict):
-            raise InputError(
-                "must be a table, as dashpot identify writes it",
-                file=file,
-                joint=name,
-                quantity="identified",
-                value=identified,
-            )
+        for key, like in (
+            ("uncertainty", "e.g. { rotor_inertia = 0.15 }"),
+            ("identified", "as dashpot identify writes it"),
+        ):
+            if not isinstance(values.get(key, {}), dict):
+                raise InputError(
+                    f"must be a table, {like}", file=file, joint=name, quantity=key, value=values[key]
+                )
         return from_table(cls, values, file=file, joint=name)
 
 

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from dashpot.certify.certificate import Certificate, JointCertificate, certify_joint, paired
+from dashpot.commands.shared import file_names, progress
 from dashpot.controller import ControllerConfig, JointGains, load_controller
 from dashpot.drive import Drive
 from dashpot.errors import InputError
@@ -35,7 +32,7 @@ def certify(options: Certify) -> int:
     robot, config = Robot.load(options.robot), load_controller(options.controller)
     pairs = paired(robot, config)
     out = options.out or (None if options.json else OUT)
-    with _progress("certifying", len(pairs) * (1 if out is None else 2)) as advance:
+    with progress("certifying", len(pairs) * (1 if out is None else 2)) as advance:
         joints = []
         for drive, gains in pairs:
             joints.append(certify_joint(drive, gains, config))
@@ -76,7 +73,7 @@ def map_gains(options: Map) -> int:
             )
     chosen = [pair for pair in pairs if not options.joint or pair[0].name in options.joint]
     files = file_names(known)
-    with _progress("mapping", len(chosen)) as advance, whole_folder(options.out) as folder:
+    with progress("mapping", len(chosen)) as advance, whole_folder(options.out) as folder:
         for drive, gains in chosen:
             found = gain_map(drive, gains, config, options.points)
             np.savez_compressed(folder / f"{files[drive.name]}.npz", R=found.R, D=found.D, index=found.index)
@@ -107,26 +104,5 @@ def _keep(
         write(place, load.load, shown, gains, config, joint.point)
 
 
-def file_names(joints: Sequence[str]) -> dict[str, str]:
-    """Names of joints without what a file system may refuse, each once."""
-    names: dict[str, str] = {}
-    for joint in joints:
-        name = plain = re.sub(r"[^\w.-]+", "_", joint).strip(".") or "joint"
-        number = 2
-        while name.lower() in (taken.lower() for taken in names.values()):
-            name, number = f"{plain}-{number}", number + 1
-        names[joint] = name
-    return names
-
-
 def _json(certificate: Certificate) -> str:
     return json.dumps(certificate.table(), indent=2, allow_nan=False)
-
-
-@contextmanager
-def _progress(label: str, steps: int) -> Iterator[Callable[[], None]]:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        task = bar.add_task(label, total=steps)
-        yield lambda: bar.advance(task)

@@ -7,14 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from dashpot.certify.box import DRIVE
 from dashpot.certify.certificate import DOCUMENT, STATEMENT, Certificate, JointCertificate
-from dashpot.commands.certify import file_names
+from dashpot.commands.shared import file_names, new_table
 from dashpot.controller import JointGains
 from dashpot.drive import Drive
 from dashpot.testbench import hidden, suggested_tap
@@ -77,15 +76,7 @@ def show(
 
 
 def _table(certificate: Certificate, options: Certify) -> Table:
-    table = Table(
-        title=escape(f"{certificate.robot} under {Path(options.controller).name}"),
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-        collapse_padding=True,
-    )
-    table.add_column("joint")
+    table = new_table(f"{certificate.robot} under {Path(options.controller).name}")
     for name in ("index", "worst", "margin", "at [Hz]"):
         table.add_column(escape(name), justify="right", no_wrap=True)
     table.add_column("verdict", no_wrap=True)

@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-import multiprocessing
-import signal
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, fields
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
 import dashpot
-from dashpot.commands.certify import file_names
+from dashpot.commands.shared import check_place, file_names, progress
 from dashpot.design.conflicts import Conflict
-from dashpot.design.design import Design, JointDesign, cores, design_joint, duties
+from dashpot.design.design import Design, JointDesign, design_joint, duties
 from dashpot.design.spec import WISHES, Spec
 from dashpot.design.wishes import Wishes
-from dashpot.errors import DashpotError, InputError, InputWarning
+from dashpot.design.workers import cores, each
+from dashpot.errors import InputError, InputWarning
 from dashpot.output import whole_folder
 from dashpot.robot import Robot
 
@@ -44,7 +36,7 @@ def design(options: Options) -> int:
     workers = cores() if options.workers is None else options.workers
     if workers < 1:
         raise InputError("must be at least 1", quantity="--workers", value=workers)
-    _check_place(options, robot, spec)
+    check_place(options.out, (robot.file, robot.model, spec.file))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)  # gains are no input, and what is has been warned of
         return _design(options, robot, spec, workers)
@@ -53,11 +45,11 @@ def design(options: Options) -> int:
 def _design(options: Options, robot: Robot, spec: Spec, workers: int) -> int:
     needed = duties(robot, spec)
     files = file_names([duty.drive.name for duty in needed])
-    with _progress("designing", len(needed)) as advance, whole_folder(options.out) as folder:
+    with progress("designing", len(needed)) as advance, whole_folder(options.out) as folder:
         tasks = [
             (duty, spec.of(duty.drive.name), spec.loop, folder / files[duty.drive.name]) for duty in needed
         ]
-        result = Design(robot.name, spec, tuple(_each(tasks, workers, advance)))
+        result = Design(robot.name, spec, tuple(each(_design_and_draw, tasks, workers, advance)))
         table = _table(result, needed)
         text = json.dumps(table, indent=2, allow_nan=False)
         _write(folder, result, needed, options, text, files)
@@ -109,17 +101,6 @@ def _changed(base: Spec, given: Mapping[str, Any]) -> Spec:
         raise InputError(error.rule, quantity=f"{flag} {unit}".rstrip(), value=error.value) from None
 
 
-def _check_place(options: Options, robot: Robot, spec: Spec) -> None:
-    place = options.out.resolve()
-    for given in (robot.file, robot.model, spec.file):
-        if given is not None and Path(given).resolve().is_relative_to(place):
-            raise InputError(
-                f"holds {given}, which is read; choose another folder",
-                quantity="--out",
-                value=str(options.out),
-            )
-
-
 def _design_and_draw(task: Task) -> JointDesign:
     """One joint, with its picture."""
     duty, wishes, loop, place = task
@@ -130,57 +111,6 @@ def _design_and_draw(task: Task) -> JointDesign:
 
         save(draw(result), place, pdf=False)
     return result
-
-
-def _each(tasks: list[Task], workers: int, advance: Callable[[], None]) -> list[JointDesign]:
-    """Designs joints in processes of their own, or here if one is enough; in the order of the tasks."""
-    workers = min(workers, len(tasks))
-    if workers == 1:
-        done = []
-        for task in tasks:
-            done.append(_design_and_draw(task))
-            advance()
-        return done
-    with _pool(workers) as pool:
-        with _deaf_to_interrupts():
-            futures: list[Future[JointDesign]] = [pool.submit(_design_and_draw, task) for task in tasks]
-        try:
-            for future in as_completed(futures):
-                future.result()
-                advance()
-        except BrokenProcessPool:
-            raise DashpotError(
-                "a worker process was ended from outside, perhaps for want of memory; try --workers 1"
-            ) from None
-        return [future.result() for future in futures]
-
-
-@contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that end at once when this one is stopped, whatever they are at."""
-    others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, get_context("spawn"), warnings.simplefilter, ("ignore", InputWarning))
-    try:
-        yield pool
-    except BaseException:
-        for process in set(multiprocessing.active_children()) - others:
-            process.terminate()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes started here leave Ctrl-C to this one, which ends them."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _write(
@@ -273,12 +203,3 @@ def _finite(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-@contextmanager
-def _progress(label: str, steps: int) -> Iterator[Callable[[], None]]:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        task = bar.add_task(label, total=steps)
-        yield lambda: bar.advance(task)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -17,6 +16,7 @@ from dashpot.commands.design_quantities import (
     significant,
 )
 from dashpot.commands.design_words import assumptions, conflict_lines, sinking
+from dashpot.commands.shared import new_table
 from dashpot.design.design import Design, JointDesign
 from dashpot.robot import Robot
 
@@ -86,22 +86,9 @@ def _end(console: Console, result: Design, robot: Robot, options: Options) -> No
         console.print(command, highlight=False, soft_wrap=True)
 
 
-def _new_table(title: str) -> Table:
-    table = Table(
-        title=escape(title),
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-        collapse_padding=True,
-    )
-    table.add_column("joint")
-    return table
-
-
 def _gains(result: Design, done: Sequence[JointDesign]) -> Table:
     spec = result.spec
-    table = _new_table(f"{result.robot}: gains ({spec.preset if spec.file is None else spec.file.name})")
+    table = new_table(f"{result.robot}: gains ({spec.preset if spec.file is None else spec.file.name})")
     for name in (*GAINS, "margin"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("limited by")
@@ -125,7 +112,7 @@ def _predictions(result: Design, done: Sequence[JointDesign]) -> Table:
     columns = [name for name in COLUMNS if name in done[0].predicted]
     if not any(joint.predicted["creep"] for joint in done):
         columns.remove("creep")
-    table = _new_table("predicted")
+    table = new_table("predicted")
     for name in columns:
         quantity = QUANTITIES[name]
         unit = quantity.unit.replace("% of limit", "%")

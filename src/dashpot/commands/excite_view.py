@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.padding import Padding
-from rich.table import Table
 
+from dashpot.commands.shared import new_table
 from dashpot.excite import Excitation, JointMotion, Limits
 from dashpot.excite.promise import CERTAIN_SCALE
 from dashpot.plots import BLACK, BLUE, GREEN, GREY, VERMILLION, Figure, new_figure
@@ -33,15 +32,7 @@ def show(found: Excitation, limits: Limits, options: Excite) -> None:
     path = found.trajectory
     title = f"{found.robot.name}: {len(path.position) * path.period:.3g} s within {limits.speed:g} rad/s, "
     title += f"{limits.amplitude:g} rad of home, {100 * limits.torque_share:.0f} % of torque"
-    table = Table(
-        title=escape(title),
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-        collapse_padding=True,
-    )
-    table.add_column("joint")
+    table = new_table(title)
     for name in ("from to [rad]", "[rad/s]", "torque", *(f"{short} ±" for short in TOLD.values())):
         table.add_column(escape(name), justify="right", no_wrap=True)
     for joint in found.joints:

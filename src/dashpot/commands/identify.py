@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
 from dashpot.certify.threads import one_thread
+from dashpot.commands.shared import check_place, file_names, progress
 from dashpot.errors import InputError
 from dashpot.identify import DriveEstimate, identify_joint
 from dashpot.identify.writeback import CONFIDENCE, bundled, too_wide, write_back
@@ -37,7 +34,7 @@ def identify(options: Identify) -> int:
     log = read_log(options.log, sampling=options.sampling, topics=topics)
     joints = _joints(options, log, robot)
     estimate = one_thread(identify_joint)
-    with _progress("identifying", 2 * len(joints)) as advance, whole_folder(options.out) as folder:
+    with progress("identifying", 2 * len(joints)) as advance, whole_folder(options.out) as folder:
         estimates = []
         for joint in joints:
             drive = robot.drives[robot.index(joint)]
@@ -82,14 +79,7 @@ def _check(options: Identify, robot: Robot) -> None:
             quantity="--in-place",
             value=options.robot,
         )
-    place = options.out.resolve()
-    for given in (robot.file, robot.model, options.log):
-        if given is not None and Path(given).resolve().is_relative_to(place):
-            raise InputError(
-                f"holds {given}, which is read; choose another folder",
-                quantity="--out",
-                value=str(options.out),
-            )
+    check_place(options.out, (robot.file, robot.model, options.log))
 
 
 def _joints(options: Identify, log: Log, robot: Robot) -> list[str]:
@@ -116,7 +106,6 @@ def _draw(
     log: Log,
     advance: Callable[[], None],
 ) -> None:
-    from dashpot.commands.certify import file_names
     from dashpot.commands.identify_plots import draw
     from dashpot.plots import save
 
@@ -182,12 +171,3 @@ def _joint_table(estimate: DriveEstimate) -> dict[str, Any]:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-@contextmanager
-def _progress(label: str, steps: int) -> Iterator[Callable[[], None]]:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        task = bar.add_task(label, total=steps)
-        yield lambda: bar.advance(task)

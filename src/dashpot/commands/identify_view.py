@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 
-from dashpot.commands.certify import file_names
 from dashpot.commands.identify import lacking
+from dashpot.commands.shared import file_names, new_table
 from dashpot.drive import Drive
 from dashpot.identify import DriveEstimate, Estimate
 from dashpot.identify.writeback import too_wide
@@ -76,18 +75,10 @@ def show(
 
 
 def _table(estimates: Sequence[DriveEstimate], robot: Robot, log: Log, options: Identify) -> Table:
-    table = Table(
-        title=escape(
-            f"{robot.name} from {options.log.name}: {log.duration:.3g} s at {1 / log.period:.4g} Hz, "
-            f"torque sampled as {log.sampling}"
-        ),
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-        collapse_padding=True,
+    table = new_table(
+        f"{robot.name} from {options.log.name}: {log.duration:.3g} s at {1 / log.period:.4g} Hz, "
+        f"torque sampled as {log.sampling}"
     )
-    table.add_column("joint")
     table.add_column("quantity")
     for name in ("value", "interval", "was"):
         table.add_column(name, justify="right", no_wrap=True)

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -21,6 +18,7 @@ from dashpot.design.conflicts import Conflict, conflict
 from dashpot.design.search import Found, JointSearch
 from dashpot.design.spec import DEFAULT_PERIOD, Spec
 from dashpot.design.wishes import NEED_LOOP, Wishes
+from dashpot.design.workers import each
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
 
@@ -173,17 +171,12 @@ def design_arm(
         ModelError: The model cannot be used.
     """
     tasks = [(duty, spec.of(duty.drive.name), spec.loop) for duty in duties(robot, spec)]
-    joints = []
-    if workers <= 1 or len(tasks) == 1:
-        for task in tasks:
-            joints.append(design_joint(*task))
-            advance()
-    else:
-        with ProcessPoolExecutor(min(workers, len(tasks)), get_context("spawn")) as pool:
-            for joint in pool.map(design_joint, *zip(*tasks, strict=True)):
-                joints.append(joint)
-                advance()
+    joints = each(_designed, tasks, workers, advance)
     return Design(robot.name, spec, tuple(joints))
+
+
+def _designed(task: tuple[Duty, Wishes, bool]) -> JointDesign:
+    return design_joint(*task)
 
 
 @one_thread
@@ -237,8 +230,3 @@ def _trade_off(search: JointSearch, found: Found) -> TradeOff:
         front = [front[round(i)] for i in np.linspace(0, len(front) - 1, FRONT)]
     front = [i for i in front if i == 0 or search.certain(points[i])]
     return TradeOff(against, np.abs(values[front, 0]), values[front, 1], np.abs(values))
-
-
-def cores() -> int:
-    """Processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -22,10 +22,11 @@ from scipy.stats import qmc
 from dashpot.certify.certificate import certify_joint
 from dashpot.certify.threads import one_thread
 from dashpot.design import candidates as quantity
-from dashpot.design.design import cores, design_joint, duties
+from dashpot.design.design import design_joint, duties
 from dashpot.design.search import COSTLY, RANGES, ZETA, JointSearch
 from dashpot.design.spec import Spec
 from dashpot.design.wishes import PRESETS
+from dashpot.design.workers import cores
 from dashpot.robot import Robot
 from dashpot.studies.designs_bench import SWING, bench, creep, load_error, stop
 from dashpot.studies.designs_cases import random_duty

@@ -14,9 +14,10 @@ from dashpot.certify.certificate import certify_arm
 from dashpot.controller import Controller, ControllerConfig, load_controller
 from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Gains
-from dashpot.design.design import Design, cores, design_arm, duties
+from dashpot.design.design import Design, design_arm, duties
 from dashpot.design.search import JointSearch
 from dashpot.design.spec import NO_LIMIT, Spec
+from dashpot.design.workers import cores
 from dashpot.errors import InputWarning
 from dashpot.payload import Payload
 from dashpot.plant import build

@@ -1,0 +1,66 @@
+"""What several commands share: names of files, a progress bar, a table, a check of where output goes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from dashpot.errors import InputError
+
+
+def file_names(joints: Sequence[str]) -> dict[str, str]:
+    """Names of joints without what a file system may refuse, each once."""
+    names: dict[str, str] = {}
+    for joint in joints:
+        name = plain = re.sub(r"[^\w.-]+", "_", joint).strip(".") or "joint"
+        number = 2
+        while name.lower() in (taken.lower() for taken in names.values()):
+            name, number = f"{plain}-{number}", number + 1
+        names[joint] = name
+    return names
+
+
+@contextmanager
+def progress(label: str, steps: int) -> Iterator[Callable[[], None]]:
+    """A bar on standard error where that is a terminal; calling what it gives advances it by one step."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+        task = bar.add_task(label, total=steps)
+        yield lambda: bar.advance(task)
+
+
+def new_table(title: str) -> Table:
+    """A table in the house style, with its first column, the joint."""
+    table = Table(
+        title=escape(title),
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+        collapse_padding=True,
+    )
+    table.add_column("joint")
+    return table
+
+
+def check_place(out: Path, read: Iterable[Path | None]) -> None:
+    """Checks that a folder about to be replaced holds nothing that is read.
+
+    Raises:
+        InputError: It does.
+    """
+    place = out.resolve()
+    for given in read:
+        if given is not None and Path(given).resolve().is_relative_to(place):
+            raise InputError(
+                f"holds {given}, which is read; choose another folder", quantity="--out", value=str(out)
+            )

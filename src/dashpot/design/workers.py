@@ -1,0 +1,90 @@
+"""Work shared among processes that stop at once with this one."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import TypeVar
+
+from dashpot.errors import DashpotError, InputWarning
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def cores() -> int:
+    """Processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def each(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    workers: int,
+    advance: Callable[[], None] = lambda: None,
+) -> list[Result]:
+    """Calls a function with every task, in processes of their own or here if one is enough.
+
+    Args:
+        function: Of a module that can be imported.
+        tasks: What to call it with.
+        workers: Processes; more than one needs a main module that may be imported again.
+        advance: Called after every task.
+
+    Returns:
+        Results in the order of the tasks.
+    """
+    workers = min(workers, len(tasks))
+    if workers <= 1:
+        done = []
+        for task in tasks:
+            done.append(function(task))
+            advance()
+        return done
+    with _pool(workers) as pool:
+        with _deaf_to_interrupts():
+            futures: list[Future[Result]] = [pool.submit(function, task) for task in tasks]
+        try:
+            for future in as_completed(futures):
+                future.result()
+                advance()
+        except BrokenProcessPool:
+            raise DashpotError(
+                "a worker process was ended from outside, perhaps for want of memory; try --workers 1"
+            ) from None
+        return [future.result() for future in futures]
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that end at once when this one is stopped, whatever they are at."""
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), warnings.simplefilter, ("ignore", InputWarning))
+    try:
+        yield pool
+    except BaseException:
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Processes started here leave Ctrl-C to this one, which ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,4 +1,4 @@
-"""Speed of dashpot as ratios measured in one run: closed loop, step, allocation, threads, certificate.
+"""Speed of dashpot as ratios measured in one run: closed loop, step, allocation, threads, certificate, design.
 
     python benchmarks/bench.py [--json FILE] [--check] [--only PART ...]
 
@@ -28,6 +28,7 @@ import mujoco
 import numpy as np
 import rivals
 from certify import certificate
+from design import design
 from measure import SETS, Rows, Timed, bytes_in_use, calls, interleave
 from rich.console import Console
 
@@ -267,7 +268,7 @@ def threads(rows: Rows) -> None:
     rows.add("threads_speedup", "two threads: times faster", best["one"] / best["two"])
 
 
-PARTS = {part.__name__: part for part in (closed_loop, controller_step, allocation, threads, certificate)}
+PARTS = {part.__name__: part for part in (closed_loop, controller_step, allocation, threads, certificate, design)}
 
 
 def main() -> int:

@@ -6,6 +6,7 @@
 #include <string>
 
 #include "dashpot_runner.h"
+#include "dashpot_stops.h"
 
 namespace nb = nanobind;
 
@@ -14,6 +15,7 @@ namespace {
 using Bytes = nb::ndarray<uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Array = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 using Vector = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Square = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Ints = nb::ndarray<int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 // The C controller with the input array it reads from; both stay where they are.
@@ -98,6 +100,27 @@ nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t 
     return nb::make_tuple(result, a.diverged_tick);
 }
 
+void stops(Bytes blocks, Square slip, Square stick, Vector start, Vector sample, int rotor, int held, int link, int spring,
+           int slips, int mean, int substeps, int late, double coulomb, double damper, double torque_gain, double speed,
+           int window, double still, Square speeds, Square commands) {
+    int count = 0;
+    const dp_block *first = blocks_of(blocks, count);
+    const size_t n = start.size(), k = static_cast<size_t>(count);
+    auto shaped = [](const Square &s, size_t rows, size_t columns) { return s.shape(0) == rows && s.shape(1) == columns; };
+    if (!shaped(slip, n, n) || !shaped(stick, n, n) || sample.size() != n || speeds.shape(0) != k ||
+        !shaped(commands, k, speeds.shape(1)))
+        throw std::invalid_argument("shapes do not fit together");
+    dp_stop_args a{static_cast<int>(n), slip.data(), stick.data(), start.data(), sample.data(), rotor, held, link, spring, slips,
+                   mean, substeps, static_cast<int>(speeds.shape(1)), late, coulomb, damper, torque_gain, speed, window, still};
+    int result;
+    {
+        nb::gil_scoped_release release;
+        result = dp_stops(first, count, &a, speeds.data(), commands.data());
+    }
+    if (result != 0)
+        throw std::invalid_argument("a number or a block is out of range");
+}
+
 }  // namespace
 
 NB_MODULE(_native, m) {
@@ -159,6 +182,12 @@ NB_MODULE(_native, m) {
           nb::arg("data"), nb::arg("qpos").noconvert(), nb::arg("qvel").noconvert(), nb::arg("qfrc_applied").noconvert(), nb::arg("dt"),
           nb::arg("steps_per_tick"), nb::arg("ticks"), nb::arg("reference").none(), nb::arg("external").none(),
           nb::arg("record").none(), nb::arg("status").none());
+
+    m.def("stops", &stops, nb::arg("blocks"), nb::arg("slip").noconvert(), nb::arg("stick").noconvert(), nb::arg("start"),
+          nb::arg("sample"), nb::arg("rotor"), nb::arg("held"), nb::arg("link"), nb::arg("spring"), nb::arg("slips"),
+          nb::arg("mean"), nb::arg("substeps"), nb::arg("late"), nb::arg("coulomb"), nb::arg("damper"),
+          nb::arg("torque_gain"), nb::arg("speed"), nb::arg("window"), nb::arg("still"),
+          nb::arg("speeds").noconvert(), nb::arg("commands").noconvert());
 
     // For benchmarks: seconds are measured by the caller; no Python between the steps.
     m.def("step_many", [](Core &s, int count) {

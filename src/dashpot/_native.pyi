@@ -45,4 +45,27 @@ def run(
     record: NDArray[np.float64] | None,
     status: NDArray[np.int32] | None,
 ) -> tuple[int, int]: ...
+def stops(
+    blocks: NDArray[np.uint8],
+    slip: NDArray[np.float64],
+    stick: NDArray[np.float64],
+    start: NDArray[np.float64],
+    sample: NDArray[np.float64],
+    rotor: int,
+    held: int,
+    link: int,
+    spring: int,
+    slips: int,
+    mean: int,
+    substeps: int,
+    late: int,
+    coulomb: float,
+    damper: float,
+    torque_gain: float,
+    speed: float,
+    window: int,
+    still: float,
+    speeds: NDArray[np.float64],
+    commands: NDArray[np.float64],
+) -> None: ...
 def step_many(core: Core, count: int) -> None: ...

@@ -35,12 +35,18 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def new_figure(rows: int, columns: int, width: float, height: float, **options: Any) -> tuple[Figure, Any]:
+def new_figure(
+    rows: int,
+    columns: int,
+    width: float,
+    height: float,
+    *,
+    layout: str | None = "constrained",
+    **options: Any,
+) -> tuple[Figure, Any]:
     """A figure in the house style and its axes, always a 2-d array; sizes in inches."""
     mpl.rcParams.update(STYLE)
-    return plt.subplots(
-        rows, columns, figsize=(width, height), squeeze=False, layout="constrained", **options
-    )
+    return plt.subplots(rows, columns, figsize=(width, height), squeeze=False, layout=layout, **options)
 
 
 def save(figure: Figure, path: Path, *, pdf: bool = True) -> list[Path]:

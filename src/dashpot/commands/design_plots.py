@@ -20,6 +20,7 @@ from dashpot.design.wishes import AT_LEAST
 from dashpot.plots import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION, Figure, new_figure
 from dashpot.sampled import BLOCK_DTYPE, TORQUE, Floats, empty_block
 
+LABEL, LINE = 34.0, 13.5  # [points] below an axis for its labels, and for a line of its legend
 ORANGE, SKY = "#E69F00", "#56B4E9"
 DECADES = 1.0  # of R and D shown on each side of the design
 COARSE, HALVINGS = 9, 2  # gains per axis tested at first, and how often the edge is then refined
@@ -27,7 +28,6 @@ SILENT = 1e-12  # torque feedback that is none; `move` wants controllers that he
 EDGE = 1e-3  # logarithm by which a limit may seem broken by rounding
 NONE = 1e-9  # in units of people: a quantity that is zero but for rounding
 NO_LOAD = 1e-9  # [N m]
-ALSO = 2  # certified gains at the edge that are tested to the end
 LIMITS: dict[str, tuple[str, Any]] = {
     "authority": (VERMILLION, "--"),
     "error_ratio": (GREEN, ":"),
@@ -55,7 +55,7 @@ STAR: dict[str, Any] = {
 def draw(joint: JointDesign) -> Figure:
     """The picture of a joint that has gains."""
     assert joint.found is not None
-    figure, axes = new_figure(1, 3, 12.0, 4.7, width_ratios=(1, 1, 1.05))
+    figure, axes = new_figure(1, 3, 12.0, 4.7, layout=None, width_ratios=(1, 1, 1.05))
     _trade_off(axes[0, 0], joint)
     _stop(axes[0, 1], joint)
     _plane(axes[0, 2], joint)
@@ -66,11 +66,23 @@ def draw(joint: JointDesign) -> Figure:
         parse_math=False,
         fontweight="bold",
     )
-    layout = figure.get_layout_engine()
-    assert layout is not None
-    layout.execute(figure)
-    figure.set_layout_engine("none")  # once is enough for PNG and PDF
+    _lay_out(figure)
     return figure
+
+
+def _lay_out(figure: Figure) -> None:
+    """Panels in fixed places, legends below their labels; a layout engine takes a second for the same."""
+    height = 72 * figure.get_figheight()
+    rows = max(math.ceil(len(legend.get_texts()) / 2) for legend in _legends(figure))
+    bottom, top = LABEL + LINE * rows + 8, height - 46
+    figure.subplots_adjust(0.055, bottom / height, 0.985, top / height, wspace=0.22)
+    for legend in _legends(figure):
+        legend.set_bbox_to_anchor((0.5, -LABEL / (top - bottom)), transform=legend.axes.transAxes)
+
+
+def _legends(figure: Figure) -> list[Any]:
+    found = (axis.get_legend() for axis in figure.axes)
+    return [legend for legend in found if legend is not None]
 
 
 def _axis_label(name: str) -> str:
@@ -80,7 +92,15 @@ def _axis_label(name: str) -> str:
 
 def _below(axis: Any, handles: list[Any] | None = None) -> None:
     options: dict[str, Any] = {} if handles is None else {"handles": handles}
-    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, fontsize=8.5, **options)
+    axis.legend(
+        loc="upper center",
+        ncols=2,
+        fontsize=8,
+        handlelength=1.6,
+        columnspacing=1.0,
+        handletextpad=0.5,
+        **options,
+    )
 
 
 def _trade_off(axis: Any, joint: JointDesign) -> None:
@@ -294,30 +314,31 @@ def _like(gains: Gains, R: Floats, D: Floats) -> Gains:
 
 @one_thread
 def certified(joint: JointDesign, R: Floats, D: Floats) -> NDArray[np.bool_]:
-    """Whether gains pass the test that fails first around the design, with margin, (len(D), len(R)).
+    """Whether gains pass the tests that refused candidates of the search, with margin, (len(D), len(R)).
 
     A coarse grid is tested, then what lies between grid points that differ.
     """
     assert joint.found is not None
     duty, gains, margin = joint.duty, joint.found.gains, joint.wishes.margin
     loop = bool(gains.kp[0] or gains.kd[0])
-    provers = [(True, Prover(duty, duty.blocks(gains, brake=True)[0], margin))]
-    if loop:
-        provers.insert(0, (False, Prover(duty, duty.blocks(gains)[0], margin)))
+    provers = []
+    for brake in (False, True) if loop else (True,):
+        prover = Prover(duty, duty.blocks(gains, brake=brake)[0], margin)
+        prover.expect(joint.found.refusals[brake])
+        provers.append((brake, prover))
 
-    def test(where: NDArray[np.int64], *, quick: bool = True) -> NDArray[np.bool_]:
+    def test(where: NDArray[np.int64]) -> NDArray[np.bool_]:
         some = _like(gains, R[where[:, 1]], D[where[:, 0]])
         passed = np.ones(len(where), bool)
         for brake, prover in provers:
             blocks = duty.blocks(some, brake=brake)
             for i in np.flatnonzero(passed):
-                passed[i] = prover.passes(blocks[i], quick=quick)
+                passed[i] = prover.passes(blocks[i], "quick")
         return passed
 
     step = 2**HALVINGS
     good = np.zeros((len(D), len(R)), bool)
     where = np.argwhere(np.ones((COARSE, COARSE), bool))
-    _learn(lambda: test(where * step), test, where * step, COARSE)
     good[::step, ::step] = test(where * step).reshape(COARSE, COARSE)
     while step > 1:
         half = step // 2
@@ -335,15 +356,3 @@ def certified(joint: JointDesign, R: Floats, D: Floats) -> NDArray[np.bool_]:
         good[::half, ::half] = found
         step = half
     return good
-
-
-def _learn(look: Any, test: Any, where: NDArray[np.int64], count: int) -> None:
-    """Tests some certified gains at the edge to the end, so that what refuses them is asked from then on."""
-    inside = look().reshape(count, count)
-    edge = (
-        inside & ~np.pad(inside, 1, mode="edge")[2:, 1:-1]
-        | inside & ~np.pad(inside, 1, mode="edge")[1:-1, 2:]
-    )
-    chosen = np.flatnonzero(edge)
-    if len(chosen):
-        test(where[chosen[np.linspace(0, len(chosen) - 1, min(ALSO, len(chosen))).astype(int)]], quick=False)

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from dashpot.design.spec import Spec
 from dashpot.errors import InputError
@@ -112,5 +111,7 @@ def poses(robot: Robot, spec: Spec, lower: Floats, upper: Floats) -> Floats:
     # A joint without stops turns once around home.
     low = np.where(np.isfinite(lower), lower, home[0] - math.pi)
     high = np.where(np.isfinite(upper), upper, home[0] + math.pi)
+    from scipy.stats import qmc  # takes as long to import as everything else together
+
     spread = qmc.Halton(len(robot.drives), scramble=False).random(POSES)
     return np.vstack([home, low + spread * (high - low)])

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dashpot.certify.threads import one_thread
 from dashpot.controller import SLIGHT, ControllerConfig
@@ -22,7 +23,7 @@ from dashpot.design.workers import each
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
 
-FRONT = 5  # points of the trade-off that are tested to the end
+FRONT = 5  # most points of the trade-off that are tested to the end
 PREDICTED = (
     "travel",
     "stop_time",
@@ -221,12 +222,22 @@ def _trade_off(search: JointSearch, found: Found) -> TradeOff:
     gains = search.gains(points)
     values = np.stack([search.value(wish, gains), search.value(against, gains)], axis=1)
     values = values if wish not in ("damping_ratio",) else values * [-1, 1]
-    order = np.lexsort((values[:, 1], values[:, 0]))
+    good = np.array([True, *(search.certain(point, "quick") for point in points[1:])])
+    while True:
+        front = _front(values, good)
+        refused = [i for i in front if i and not search.certain(points[i], "proof")]
+        if not refused:
+            break
+        good[refused] = False
+    return TradeOff(against, np.abs(values[front, 0]), values[front, 1], np.abs(values[good]))
+
+
+def _front(values: Floats, good: NDArray[np.bool_]) -> list[int]:
+    """Rows of (k, 2) values that no other good one beats in both columns; at most `FRONT`, evenly spread."""
     front: list[int] = []
-    for i in order:
-        if not front or values[i, 1] < values[front[-1], 1] * (1 - 1e-6):
+    for i in np.lexsort((values[:, 1], values[:, 0])):
+        if good[i] and (not front or values[i, 1] < values[front[-1], 1] * (1 - 1e-6)):
             front.append(int(i))
     if len(front) > FRONT:
         front = [front[round(i)] for i in np.linspace(0, len(front) - 1, FRONT)]
-    front = [i for i in front if i == 0 or search.certain(points[i])]
-    return TradeOff(against, np.abs(values[front, 0]), values[front, 1], np.abs(values))
+    return front

@@ -1,7 +1,8 @@
 """Many sampled joints at once, each carrying a rigid link: how one drive answers under many controllers.
 
-Exact between sub-steps for the elastic, filtered, sampled joint. Coulomb friction slips or
-sticks as in native/dashpot_runner.c; which, is asked once per sub-step. Limits act as in dashpot_core.c.
+Exact between sub-steps for the elastic, filtered, sampled joint. The loop is native/dashpot_stops.c around
+the controller that also runs on the robot. Friction slips or sticks as in native/dashpot_runner.c; which,
+is asked once per sub-step. Limits act as they do there.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from dashpot import _native
 from dashpot.certify.joint import SPEED, sampled_joint
 from dashpot.certify.threads import one_thread
 from dashpot.drive import PRESLIDING, Drive
-from dashpot.sampled import IN_EFFECT, TORQUE, Floats
+from dashpot.sampled import Floats
 
 SUBSTEP = 1e-3  # [s]
 WINDOW = 0.05  # [s] over which a motion is looked at for an end
@@ -83,104 +85,52 @@ def move(
     stick[SPEED, spring] = -1 / drive.rotor_inertia
     stick[SPEED, SPEED] -= damper / drive.rotor_inertia
     substeps = max(1, math.ceil(period / SUBSTEP))
-    slipping, sticking = (expm(flow * (period / substeps)).T for flow in (slip, stick))
-    coulomb = drive.coulomb_friction
-    average = sampling == "average"
-    filtered = drive.sensor_bandwidth is not None
-    sample_row = np.zeros(n + 4)
+    slipping, sticking = (np.ascontiguousarray(expm(flow * (period / substeps))) for flow in (slip, stick))
+    average, filtered = sampling == "average", drive.sensor_bandwidth is not None
+    sample, start = np.zeros(n + 4), np.zeros(n + 4)
     if average:
-        sample_row[mean] = 1.0
+        sample[mean] = 1.0
     elif filtered:
-        sample_row[2] = 1.0
+        sample[2] = 1.0
     else:
-        sample_row[:n], sample_row[link] = joint.torque, joint.torque_w
-    ticks, k = math.ceil(duration / period) + 1, len(blocks)
-    latency, late = int(blocks["latency"][0]), round(drive.torque_latency / period)
-    X = np.zeros((k, n + 4))
-    X[:, [SPEED, link]] = speed
-    X[:, push], X[:, spring] = load, math.copysign(coulomb, speed)
-    x = blocks["warm"] * speed
-    law = _Law.of(blocks)
+        sample[:n], sample[link] = joint.torque, joint.torque_w
     # In even motion the transmission carries the load, the motor friction as well.
+    coulomb = drive.coulomb_friction
     drag = math.copysign(coulomb, speed) + drive.viscous_friction * speed
-    before = np.full(k, np.clip(drag - load, -drive.torque_limit, drive.torque_limit))
-    X[:, 0], X[:, held] = -load / drive.stiffness, before
+    start[[SPEED, link]] = speed
+    start[push], start[spring] = load, math.copysign(coulomb, speed)
+    start[0], start[held] = (
+        -load / drive.stiffness,
+        np.clip(drag - load, -drive.torque_limit, drive.torque_limit),
+    )
     if average:
-        X[:, mean] = -load
+        start[mean] = -load
     if filtered:
-        X[:, 2] = -load
-    sensed, pipeline, issued = [np.full(k, -load * torque_gain)] * late, [before] * latency, before
-    motion = Motion(period * np.arange(ticks, dtype=float), np.empty((ticks, k)), np.empty((ticks, k)))
-    running, check = np.arange(k), max(2, round(WINDOW / period))
-    for tick in range(ticks):
-        sensed.append(torque_gain * (X @ sample_row))
-        issued, x = law.step(x, sensed.pop(0), X[:, held].copy(), issued)
-        pipeline.append(issued)
-        X[:, held] = pipeline.pop(0)
-        motion.speed[tick, running], motion.command[tick, running] = X[:, link], issued
-        if average:
-            X[:, mean] = 0.0
-        for _ in range(substeps):
-            if not coulomb:
-                X = X @ slipping
-                continue
-            torque = X[:, spring] + damper * X[:, SPEED]
-            X[:, slips] = np.copysign(coulomb, torque)
-            X = np.where((np.abs(torque) < coulomb)[:, None], X @ sticking, X @ slipping)
-            X[:, spring] = np.minimum(np.maximum(X[:, spring], -coulomb), coulomb)
-        if tick % check == check - 1:
-            # What has not moved for a while, or creeps on evenly, will go on like that.
-            recent = motion.speed[tick + 1 - check : tick + 1, running]
-            still = np.ptp(recent, axis=0) < STILL * abs(speed)
-            if still.any():
-                motion.speed[tick + 1 :, running[still]] = recent.mean(0)[still]
-                motion.command[tick + 1 :, running[still]] = motion.command[tick, running[still]]
-                go = ~still
-                running, X, x, issued, law = running[go], X[go], x[go], issued[go], law[go]
-                sensed, pipeline = [s[go] for s in sensed], [u[go] for u in pipeline]
-                if not len(running):
-                    break
-    return motion
-
-
-@dataclass(frozen=True)
-class _Law:
-    """Coefficients of k blocks as the loop needs them."""
-
-    A: Floats
-    b: Floats
-    own: Floats
-    C: Floats
-    d: Floats
-    d_own: Floats
-    E: Floats
-    limit: Floats
-    rate: Floats
-
-    @classmethod
-    def of(cls, blocks: NDArray[np.void]) -> _Law:
-        nx = max(1, int(blocks["nx"].max()))
-        B, D = blocks["B"][:, :nx], blocks["D"]
-        return cls(
-            blocks["A"][:, :nx, :nx],
-            B[:, :, TORQUE],
-            B[:, :, IN_EFFECT],
-            blocks["C"][:, :nx],
-            D[:, TORQUE],
-            D[:, IN_EFFECT],
-            blocks["E"][:, :nx],
-            blocks["torque_limit"],
-            blocks["rate_limit"],
+        start[2] = -load
+    ticks = math.ceil(duration / period) + 1
+    speeds, commands = np.empty((len(blocks), ticks)), np.empty((len(blocks), ticks))
+    if len(blocks):
+        _native.stops(
+            np.ascontiguousarray(blocks).view(np.uint8),
+            slipping,
+            sticking,
+            start,
+            sample,
+            rotor=SPEED,
+            held=held,
+            link=link,
+            spring=spring,
+            slips=slips,
+            mean=mean if average else -1,
+            substeps=substeps,
+            late=round(drive.torque_latency / period),
+            coulomb=coulomb,
+            damper=damper,
+            torque_gain=torque_gain,
+            speed=speed,
+            window=max(2, round(WINDOW / period)),
+            still=STILL * abs(speed),
+            speeds=speeds,
+            commands=commands,
         )
-
-    def __getitem__(self, chosen: NDArray[np.bool_]) -> _Law:
-        return _Law(*(value[chosen] for value in vars(self).values()))
-
-    def step(self, x: Floats, torque: Floats, in_effect: Floats, last: Floats) -> tuple[Floats, Floats]:
-        """Torque issued (k,) and next states (k, nx)."""
-        x = x[:, : self.C.shape[1]]
-        wanted = (self.C * x).sum(1) + self.d * torque + self.d_own * in_effect
-        issued = np.minimum(np.maximum(wanted, last - self.rate), last + self.rate)
-        issued = np.minimum(np.maximum(issued, -self.limit), self.limit)
-        ahead = (self.A @ x[:, :, None])[:, :, 0] + self.b * torque[:, None] + self.own * in_effect[:, None]
-        return issued, ahead + self.E * (issued - wanted)[:, None]
+    return Motion(period * np.arange(ticks, dtype=float), speeds.T, commands.T)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ from dashpot.certify.joint import sampled_joint
 from dashpot.design.candidates import Duty
 from dashpot.sampled import empty_block
 
+Depth = Literal["quick", "proof", "all"]
+Refusal = tuple[str, Mapping[str, float]]
 Test = tuple[str, Mapping[str, float], Callable[[NDArray[np.void]], bool]]
 NO_FRICTION = (
     "the drive alone has no damping to spare: give `viscous_friction` in the robot file; a low guess is the "
@@ -73,11 +76,15 @@ class Prover:
 
         return test
 
-    def passes(self, block: NDArray[np.void], *, quick: bool = False) -> bool:
-        """Whether a block passes every test; quick: only those that have refused one so far."""
+    def passes(self, block: NDArray[np.void], depth: Depth = "all") -> bool:
+        """Whether a block passes the tests that have refused one so far ("quick"), these and all that prove
+        passivity over the box ("proof"), or the margin at the corners as well ("all").
+        """
         if self.hopeless:
             return False
-        for i in range(self._hot if quick else len(self._tests)):
+        for i in range(self._hot if depth == "quick" else len(self._tests)):
+            if depth == "proof" and i >= self._hot and self._tests[i][0] == "margin":
+                continue
             self.asked += 1
             if not self._tests[i][2](block):
                 self._hot += i >= self._hot
@@ -99,6 +106,17 @@ class Prover:
         return found.proven and enough, found
 
     @property
-    def last_refusal(self) -> tuple[str, Mapping[str, float]] | None:
+    def refusals(self) -> tuple[Refusal, ...]:
+        """Kind and point of the tests that have refused a block so far, the last one first."""
+        return tuple(test[:2] for test in self._tests[: self._hot])
+
+    def expect(self, refusals: Sequence[Refusal]) -> None:
+        """Asks what refused blocks elsewhere first."""
+        known = [test for test in self._tests if test[:2] in refusals]
+        self._tests = known + [test for test in self._tests if test[:2] not in refusals]
+        self._hot = max(1, len(known))
+
+    @property
+    def last_refusal(self) -> Refusal | None:
         """Kind and point of the test that refused a block last."""
         return self._tests[0][:2] if self._tests else None

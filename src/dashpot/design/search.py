@@ -20,7 +20,7 @@ from dashpot.certify.box import BoxCertificate
 from dashpot.certify.threads import one_thread
 from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Duty, Gains
-from dashpot.design.prover import Prover
+from dashpot.design.prover import Depth, Prover, Refusal
 from dashpot.design.wishes import AT_LEAST, NEED_LOOP, Wishes
 from dashpot.sampled import Floats
 
@@ -60,6 +60,7 @@ class Found:
         brake: Of the same without position loop; None where there is none.
         bare: Index of the drive without controller [N m s/rad].
         binding: What refuses the better candidates around it: limits, and "certificate".
+        refusals: Tests that refused candidates, with the position loop and as brake.
     """
 
     gains: Gains
@@ -69,6 +70,7 @@ class Found:
     brake: BoxCertificate | None
     bare: float
     binding: tuple[str, ...]
+    refusals: tuple[tuple[Refusal, ...], tuple[Refusal, ...]]
 
     @property
     def margin(self) -> float:
@@ -138,6 +140,7 @@ class JointSearch:
             duty, residual=SURE * duty.residual, torque_gain=1 - duty.drive.torque_gain_error
         )
         self._soft = False
+        self._released: dict[tuple[float, ...], bool] = {}
         self._motions: dict[tuple[object, ...], float] = {}
 
     @property
@@ -227,7 +230,7 @@ class JointSearch:
         return None
 
     def _basins(self, columns: list[_Column], steps: dict[int, float]) -> list[_Column]:
-        """The best columns that are not neighbours, each with a point that passes every test."""
+        """The best columns that are not neighbours, each with a point that is certified."""
         waiting, chosen = list(columns), list[_Column]()
         while waiting and len(chosen) < BASINS:
             column = self._settle(waiting)
@@ -257,10 +260,10 @@ class JointSearch:
         return column
 
     def _settle(self, columns: list[_Column]) -> _Column | None:
-        """The best column whose point passes every test; columns that lose theirs are searched again."""
+        """The best column whose point is certified; columns that lose theirs are searched again."""
         while columns:
             column = min(columns, key=lambda c: c.best)
-            if self.certain(column.point):
+            if self.certain(column.point, "proof"):
                 return column
             if not self._end(column, math.inf):
                 columns.remove(column)
@@ -280,10 +283,10 @@ class JointSearch:
         lattice = {axis: np.linspace(*self.range(axis), count) for axis, count in points.items()}
         return lattice | {ZETA: np.array(SPRINGS)}
 
-    def certain(self, point: Floats) -> bool:
-        """Whether a point passes every test, as brake and with its position loop."""
-        brake = not self.loop or self.brake.passes(self.block(point, brake=True))
-        return brake and self.prover.passes(self.block(point))
+    def certain(self, point: Floats, depth: Depth = "all") -> bool:
+        """Whether a point passes the tests, as brake and with its position loop."""
+        brake = not self.loop or self.brake.passes(self.block(point, brake=True), depth)
+        return brake and self.prover.passes(self.block(point), depth)
 
     def _scan(self, lattice: dict[int, Floats], best: float = math.inf) -> list[_Column]:
         """Columns that hold something certified, as far as quick tests tell, and near the best."""
@@ -321,11 +324,11 @@ class JointSearch:
         rows = np.flatnonzero(column.merit < below)
         if not len(rows):
             return False
-        if self.loop and not self.brake.passes(self.block(column.points[0], brake=True), quick=True):
+        if self.loop and not self._brakes(column.points[0]):
             return False
 
         def passes(i: int) -> bool:
-            return self.prover.passes(self.block(column.points[rows[i]]), quick=True)
+            return self.prover.passes(self.block(column.points[rows[i]]), "quick")
 
         if not passes(0):
             return False
@@ -335,6 +338,13 @@ class JointSearch:
             low, high = (middle, high) if passes(middle) else (low, middle)
         column.row = int(rows[: low + 1][column.merit[rows[: low + 1]].argmin()])
         return True
+
+    def _brakes(self, point: Floats) -> bool:
+        """Whether the gains without position loop pass the quick tests; asked once for each."""
+        key = (*point[[G, CORNER, ZETA]].tolist(), len(self.brake.refusals))
+        if key not in self._released:
+            self._released[key] = self.brake.passes(self.block(point, brake=True), "quick")
+        return self._released[key]
 
     def block(self, point: Floats, *, brake: bool = False) -> NDArray[np.void]:
         """The controller at a point, a record of `dashpot.sampled.BLOCK_DTYPE`."""
@@ -361,6 +371,7 @@ class JointSearch:
             released,
             self.prover.bare,
             self._binding(point),
+            (self.prover.refusals, self.brake.refusals),
         )
 
     def _binding(self, point: Floats) -> tuple[str, ...]:

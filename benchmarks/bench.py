@@ -1,4 +1,5 @@
-"""Speed of dashpot as ratios measured in one run: closed loop, step, allocation, threads, certificate, design.
+"""Speed of dashpot as ratios measured in one run: closed loop, step, allocation, threads,
+certificate, design of an arm.
 
     python benchmarks/bench.py [--json FILE] [--check] [--only PART ...]
 
@@ -268,7 +269,8 @@ def threads(rows: Rows) -> None:
     rows.add("threads_speedup", "two threads: times faster", best["one"] / best["two"])
 
 
-PARTS = {part.__name__: part for part in (closed_loop, controller_step, allocation, threads, certificate, design)}
+_PARTS = (closed_loop, controller_step, allocation, threads, certificate, design)
+PARTS = {part.__name__: part for part in _PARTS}
 
 
 def main() -> int:

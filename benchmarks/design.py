@@ -1,4 +1,4 @@
-"""The design of a whole arm, as a user asks for it: the command with its search, proofs, pictures and report."""
+"""The design of a whole arm, as a user asks for it: search, proofs, pictures and report."""
 
 from __future__ import annotations
 

@@ -268,9 +268,15 @@ class StandIn:
         return cls(_varied(drive, changes), cell.centre, drive.link_friction if certain else 0.0)
 
     def holds(
-        self, corner: Mapping[str, float], block: NDArray[np.void], sampling: str, period: float
+        self,
+        corner: Mapping[str, float],
+        block: NDArray[np.void],
+        sampling: str,
+        period: float,
+        *,
+        stored: bool = True,
     ) -> bool:
-        """Whether one corner passes the exact test of its tangent, with a storage function.
+        """Whether one corner passes the exact test of its tangent, for a verdict with a storage function.
 
         Stability with the link held is looked at as well, at the corners: no eigenvalue can leave the unit
         circle between them, because the form would be singular there.
@@ -287,4 +293,4 @@ class StandIn:
             1 - self.centre["position_gain"] / corner["position_gain"],
             self.friction,
         )
-        return holds(joint, -self.friction, loss, stored=True)
+        return holds(joint, -self.friction, loss, stored=stored)

@@ -17,7 +17,8 @@ from dashpot.sampled import empty_block
 
 Depth = Literal["quick", "proof", "all"]
 Refusal = tuple[str, Mapping[str, float]]
-Test = tuple[str, Mapping[str, float], Callable[[NDArray[np.void]], bool]]
+Ask = Callable[[NDArray[np.void], bool], bool]
+Test = tuple[str, Mapping[str, float], Ask]
 NO_FRICTION = (
     "the drive alone has no damping to spare: give `viscous_friction` in the robot file; a low guess is the "
     "safe one"
@@ -63,14 +64,15 @@ class Prover:
         # Too much feedback on a light rotor is what fails first, nearly always.
         self._tests.sort(key=lambda t: (t[0] != "proof", t[1]["rotor_inertia"], -t[1]["torque_gain"]))
 
-    def _proof(self, stand_in: StandIn, corner: Mapping[str, float]) -> Callable[[NDArray[np.void]], bool]:
-        return lambda block: stand_in.holds(corner, block, self.duty.sampling, self.duty.period)
+    def _proof(self, stand_in: StandIn, corner: Mapping[str, float]) -> Ask:
+        means = self.duty.sampling, self.duty.period
+        return lambda block, stored: stand_in.holds(corner, block, *means, stored=stored)
 
-    def _level(self, point: Mapping[str, float]) -> Callable[[NDArray[np.void]], bool]:
+    def _level(self, point: Mapping[str, float]) -> Ask:
         drive, scales = at(self.duty.drive, point)
         level = self.margin * self.bare - drive.link_friction
 
-        def test(block: NDArray[np.void]) -> bool:
+        def test(block: NDArray[np.void], stored: bool) -> bool:
             joint = sampled_joint(drive, block, self.duty.sampling, self.duty.period, scales)
             return not joint.speed_in_sample and holds(joint, level)
 
@@ -86,7 +88,7 @@ class Prover:
             if depth == "proof" and i >= self._hot and self._tests[i][0] == "margin":
                 continue
             self.asked += 1
-            if not self._tests[i][2](block):
+            if not self._tests[i][2](block, depth != "quick"):
                 self._hot += i >= self._hot
                 self._tests.insert(0, self._tests.pop(i))
                 return False

@@ -156,6 +156,7 @@ def _joint_table(joint: JointDesign) -> dict[str, Any]:
         "carries": {"inertia": duty.inertia, "inertia_with_payload": duty.loaded, "load": duty.load},
         "predicted": dict(joint.predicted),
         "assured": dict(joint.assured),
+        "stop_time_with_larger_swings": joint.stop_late,
         "certificate": None,
         "binding": [],
         "trade_off": None,

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from dashpot.design.design import JointDesign
+from dashpot.design.search import SAME
 from dashpot.design.wishes import AT_LEAST, UNITS
 
 DEGREES = 180 / math.pi
@@ -43,9 +45,9 @@ QUANTITIES = {
         "stop",
         "ms",
         1e3,
-        "Time from losing the encoder until the loaded link stays below the residual speed; a mean over "
-        "levels from half of it to all of it, so that a swing which just reaches it does not decide. The "
-        "brake starts with the last speed known; friction counts, gravity does not.",
+        "Time from losing the encoder until the loaded link stays below the residual speed. Two times stand "
+        "where it hangs on a swing that nearly reaches that speed. The brake starts with the last speed "
+        "known; friction counts, gravity does not.",
     ),
     "travel": Quantity(
         "travel",
@@ -76,16 +78,16 @@ QUANTITIES = {
         "error",
         "deg",
         DEGREES,
-        "Position error of the rotor under the largest load of the payload, with the position loop: "
-        "tau_g/(g kp). It is zero where the payload puts no torque on the joint.",
+        "Largest position error of the rotor at rest under the payload, with the position loop, friction "
+        "holding it on the wrong side: (tau_g + (1 + g) tau_c)/(g kp).",
     ),
     "error_ratio": Quantity(
         "error ratio",
         "ratio",
         "",
         1.0,
-        "Load error over that of the same position loop without torque feedback, 1/g. At 0.2 the joint "
-        "yields a fifth as much.",
+        "How far the load moves the joint, over how far it would with the same position loop and no torque "
+        "feedback, 1/g. At 0.2 the joint yields a fifth as much.",
     ),
     "noise": Quantity(
         "noise",
@@ -120,6 +122,14 @@ QUANTITIES = {
         "brake, over the index of the drive alone. Zero is the edge of the certificate.",
     ),
 }
+
+
+def predicted_text(joint: JointDesign, name: str) -> str:
+    """A prediction without its unit; two stop times where a swing decides between them."""
+    quantity, value = QUANTITIES[name], joint.predicted[name]
+    if name == "stop_time" and joint.stop_late > SAME * value:
+        return f"{quantity.shown(value)} or {quantity.shown(joint.stop_late)}"
+    return quantity.shown(value)
 
 
 def significant(value: float, digits: int = 3) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dashpot.commands.design_files import GAINS
-from dashpot.commands.design_quantities import QUANTITIES, binding_text, in_si, significant
+from dashpot.commands.design_quantities import QUANTITIES, binding_text, in_si, predicted_text, significant
 from dashpot.commands.design_words import assumptions, conflict_lines, sinking
 from dashpot.design.design import Design, JointDesign
 from dashpot.design.wishes import AT_LEAST
@@ -62,7 +62,7 @@ def _overview(result: Design, options: Options) -> str:
                 significant(found.margin, 2),
             ]
         )
-        predictions.append([joint.name, *(QUANTITIES[name].shown(joint.predicted[name]) for name in names)])
+        predictions.append([joint.name, *(predicted_text(joint, name) for name in names)])
     head = ["joint", "certified", *(f"{name} [{unit}]" for name, unit in GAINS.items()), "margin"]
     html = table(head, gains, numbers=range(2, len(head)), classes=1)
     html = html.replace('"holds">holds<', '"holds">yes<').replace('"fails">fails<', '"fails">no<')
@@ -98,7 +98,7 @@ def _joint(joint: JointDesign, picture: Path) -> str:
             kept = f"{sense} {limit * QUANTITIES[name].factor:.3g}{in_si(name, limit)}"
         label = QUANTITIES[name].label + (" (wished for)" if name == wish else "")
         unit = QUANTITIES[name].unit
-        values = (QUANTITIES[name].shown(source[name]) for source in (joint.predicted, joint.assured))
+        values = predicted_text(joint, name), QUANTITIES[name].shown(joint.assured[name])
         rows.append(
             [f"{label} [{unit}]" if unit else label, *values, kept, "yes" if name in found.binding else ""]
         )

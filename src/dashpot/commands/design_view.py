@@ -13,6 +13,7 @@ from dashpot.commands.design_files import GAINS
 from dashpot.commands.design_quantities import (
     QUANTITIES,
     binding_text,
+    predicted_text,
     significant,
 )
 from dashpot.commands.design_words import assumptions, conflict_lines, sinking
@@ -118,7 +119,5 @@ def _predictions(result: Design, done: Sequence[JointDesign]) -> Table:
         unit = quantity.unit.replace("% of limit", "%")
         table.add_column(escape(f"{quantity.head}\n[{unit or '-'}]"), justify="right", no_wrap=True)
     for joint in done:
-        table.add_row(
-            escape(joint.name), *(QUANTITIES[name].shown(joint.predicted[name]) for name in columns)
-        )
+        table.add_row(escape(joint.name), *(predicted_text(joint, name) for name in columns))
     return table

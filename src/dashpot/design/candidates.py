@@ -197,13 +197,18 @@ def creep(duty: Duty, gains: Gains) -> Floats:
 
 
 def load_error(duty: Duty, gains: Gains) -> Floats:
-    """Mean error of the rotor's position under the load, with position loop, (k,) [rad]: tau_g/(g kp)."""
+    """Largest error of the rotor's position at rest under the load, with position loop, (k,) [rad].
+
+    ``(tau_g + (1 + g) tau_c)/(g kp)``: friction may hold the rotor on the wrong side.
+    """
+    g = static_gain(duty, gains)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.where(duty.load > 0, duty.load, 0.0) / (static_gain(duty, gains) * gains.kp))
+        friction = (1 + 1 / g) * duty.drive.coulomb_friction
+        return np.asarray((duty.load / g + friction) / gains.kp)
 
 
 def error_ratio(duty: Duty, gains: Gains) -> Floats:
-    """Load error over that of the same position loop without torque feedback, (k,) [-]: 1/g."""
+    """How far a load moves the joint, over the same without torque feedback, (k,) [-]: 1/g."""
     return np.asarray(1 / static_gain(duty, gains))
 
 

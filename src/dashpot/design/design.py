@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Duty
 from dashpot.design.carried import carried
 from dashpot.design.conflicts import Conflict, conflict
-from dashpot.design.search import Found, JointSearch
+from dashpot.design.search import DOUBT, Found, JointSearch
 from dashpot.design.spec import DEFAULT_PERIOD, Spec
 from dashpot.design.wishes import NEED_LOOP, Wishes
 from dashpot.design.workers import each
@@ -66,6 +66,7 @@ class JointDesign:
         found: The certified gains, or None.
         predicted: What they will do with the drive as stated.
         assured: The same with the weakest torque channel the drive states; this is what keeps the limits.
+        stop_late: Time to stop if the last swings are a little larger than predicted [s].
         trade_off: Between the wish and the stop.
         conflict: Why there is nothing.
         candidates: Looked at.
@@ -78,6 +79,7 @@ class JointDesign:
     found: Found | None
     predicted: Mapping[str, float]
     assured: Mapping[str, float]
+    stop_late: float
     trade_off: TradeOff | None
     conflict: Conflict | None
     candidates: int
@@ -188,7 +190,7 @@ def design_joint(duty: Duty, wishes: Wishes, loop: bool) -> JointDesign:
     if found is None:
         why = conflict(duty, wishes, loop)
         return JointDesign(
-            duty.drive.name, duty, wishes, None, {}, {}, None, why, search.candidates, search.asked
+            duty.drive.name, duty, wishes, None, {}, {}, math.inf, None, why, search.candidates, search.asked
         )
     return JointDesign(
         duty.drive.name,
@@ -197,6 +199,7 @@ def design_joint(duty: Duty, wishes: Wishes, loop: bool) -> JointDesign:
         found,
         predict(duty, found, loop),
         predict(search.assured, found, loop),
+        float(quantity.stop_time(replace(duty, residual=(1 - DOUBT) * duty.residual), found.gains)[0]),
         _trade_off(search, found),
         None,
         search.candidates,

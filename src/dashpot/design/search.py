@@ -39,6 +39,9 @@ ALONG = np.linspace(-3, 3, 25)
 LAST = 0.008  # logarithmic step at which the search ends
 ROUGH, FINE = 0.3, 2  # after this share of the coarse steps, only so many columns are followed
 SURE = 0.7  # of the residual speed, below which a swing must stay to count as stopped
+DOUBT, SAME = 0.03, 1.1  # share of the residual speed a swing may be off by; times to stop that agree
+ASIDE = np.linspace(-0.08, 0.08, 17)  # of log g and log w_c, where a clear stop is looked for
+COST = 0.02  # of the merit that a clear stop may cost
 MISSED = 100.0  # merit of a candidate that misses a limit, and more the more it does
 AT_ONCE = 4000  # motions simulated side by side
 LARGEST = 1e6  # value of a quantity beyond which it gets no worse
@@ -195,7 +198,7 @@ class JointSearch:
         weights = dict(self.wishes.beside)
         weights[self.wishes.minimise] = weights.get(self.wishes.minimise, 0.0) + 1.0
         for name, weight in weights.items():
-            if name == "load_error":  # per load: there may be none about this axis
+            if name == "load_error" and not (self.duty.load or self.duty.drive.coulomb_friction):
                 value = 1 / (quantity.static_gain(self.assured, gains) * gains.kp)
             else:
                 value = np.clip(self.value(name, gains), 1e-9, LARGEST)
@@ -224,7 +227,7 @@ class JointSearch:
                 return None
             found = self._proven(best.point)
             if found is not None:
-                return found
+                return found if self._clear(found.gains)[0] else self._clearer(found)
             # A test that had not refused anything before has: from now on it is asked early.
             basins = self._basins(columns, steps)
         return None
@@ -373,6 +376,27 @@ class JointSearch:
             self._binding(point),
             (self.prover.refusals, self.brake.refusals),
         )
+
+    def _clear(self, gains: Gains) -> NDArray[np.bool_]:
+        """Whether the time to stop hangs on no swing that just reaches the residual speed, (k,)."""
+        early, late = (
+            quantity.stop_time(replace(self.duty, residual=share * self.duty.residual), gains)
+            for share in (1 + DOUBT, 1 - DOUBT)
+        )
+        return np.asarray(late <= SAME * early)
+
+    def _clearer(self, found: Found) -> Found:
+        """A design next to one whose time to stop is in doubt, hardly worse and clear; else the same."""
+        points = found.point + np.stack(np.meshgrid(ASIDE, ASIDE), -1).reshape(-1, 2) @ np.eye(5)[[G, CORNER]]
+        gains = self.gains(points)
+        good = (merit := self.merit(gains)) < found.merit + COST
+        for name in self.wishes.limits:
+            good[good] = self.kept(name, gains[good])
+        good[good] = self._clear(gains[good])
+        for i in np.argsort(merit):
+            if good[i] and self.certain(points[i]):
+                return self._proven(points[i]) or found
+        return found
 
     def _binding(self, point: Floats) -> tuple[str, ...]:
         """What refuses the candidates nearby that would be better."""

@@ -25,8 +25,8 @@ class Wishes:
         stop_time: Longest time to stop once the encoder is lost [s].
         travel: How far it may get in 5 s after losing the encoder, the payload pulling on [rad].
         creep: Fastest sag of the brake under the payload [rad/s].
-        load_error: Largest position error under the payload, with position loop [rad].
-        error_ratio: The same over that of the position loop without torque feedback [-].
+        load_error: Largest position error at rest under the payload, with position loop [rad].
+        error_ratio: How far the payload moves the joint, over the same without torque feedback [-].
         noise: RMS of the torque command from sensor noise, share of the torque limit [-].
         authority: Share of the torque limit that may be asked for (see `candidates.authority`) [-].
         damping_ratio: Least of the position loop [-].

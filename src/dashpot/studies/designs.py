@@ -17,19 +17,18 @@ from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from dashpot.certify.certificate import certify_joint
 from dashpot.certify.threads import one_thread
 from dashpot.design import candidates as quantity
 from dashpot.design.design import design_joint, duties
-from dashpot.design.search import COSTLY, RANGES, ZETA, JointSearch
+from dashpot.design.search import COSTLY, JointSearch
 from dashpot.design.spec import Spec
 from dashpot.design.wishes import PRESETS
 from dashpot.design.workers import cores
 from dashpot.robot import Robot
 from dashpot.studies.designs_bench import SWING, bench, creep, load_error, stop
-from dashpot.studies.designs_cases import random_duty
+from dashpot.studies.designs_cases import random_duty, scattered
 
 COMPARED = ("stop_time", "creep", "error_ratio")
 DRIVES, POINTS = 50, 100_000
@@ -38,7 +37,6 @@ STILL = 1e-4  # [rad/s] that counts as held
 LONGEST = 150.0  # [s] of creeping until the virtual spring has taken over
 EDGES = (1.15, 0.85)  # of the residual speed: a swing may just reach it
 LOST = 10.0  # relative error where nothing was to move and something did
-SPRUNG = (0.7, 8.0)  # zeta of the points that have a virtual spring
 RETRIED = 30  # better points refused by the proof in one piece that get the whole proof
 CASES = (("k807", "joint5"), ("fr3", "joint2"), ("fr3", "joint7"), ("iiwa14", "joint4"))
 """Joints searched by brute force, with the largest payload of 3 kg at 0.1 m."""
@@ -106,15 +104,7 @@ def brute(robot: str, joint: str, preset: str, points: int) -> dict[str, Any]:
     search = JointSearch(duty, spec.of(joint), spec.loop)
     found = search.run()
     row: dict[str, Any] = {"robot": robot, "joint": joint, "preset": preset, "points": points}
-    axes = [axis for axis in RANGES if search.loop or axis in (0, 1)]
-    spread = qmc.Halton(len(axes) + 1, scramble=False).random(points)
-    at = np.zeros((points, 5))
-    for i, axis in enumerate(axes):
-        low, high = search.range(axis)
-        at[:, axis] = low + spread[:, i] * (high - low)
-    share = spread[:, -1]
-    zeta = np.exp(np.interp(share, [0.5, 1.0], np.log(SPRUNG)))
-    at[:, ZETA] = np.where(share < 0.5, np.inf, zeta)  # half of them without a virtual spring
+    at = scattered(search, points)
     gains = search.gains(at)
     good = np.ones(points, bool)
     for name in sorted(search.wishes.limits, key=COSTLY.index):

@@ -1,13 +1,45 @@
-"""Random drives with their duties for `dashpot.studies.designs`, each from (seed, number) alone."""
+"""What `dashpot.studies.designs` looks at: random drives, and points over the whole range."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
+from scipy.stats import qmc
 
 from dashpot.design.candidates import Duty
+from dashpot.design.search import RANGES, ZETA, JointSearch
 from dashpot.drive import Drive
+from dashpot.sampled import Floats
+
+SPRUNG = (0.7, 8.0)  # zeta of the points that have a virtual spring
+
+
+def scattered(
+    search: JointSearch,
+    points: int,
+    ranges: Mapping[int, tuple[float, float]] = {},
+    sprung: tuple[float, float] = SPRUNG,
+) -> Floats:
+    """Points of a low-discrepancy sequence over the range of a search, half of them with a spring, (k, 5).
+
+    Args:
+        search: Whose range it is.
+        points: How many.
+        ranges: Ends of coordinates that have another range.
+        sprung: Ends of zeta.
+    """
+    axes = [axis for axis in RANGES if search.loop or axis in (0, 1)]
+    spread = qmc.Halton(len(axes) + 1, scramble=False).random(points)
+    at = np.zeros((points, 5))
+    for i, axis in enumerate(axes):
+        low, high = np.log(ranges[axis]) if axis in ranges else search.range(axis)
+        at[:, axis] = low + spread[:, i] * (high - low)
+    share = spread[:, -1]
+    zeta = np.exp(np.interp(share, [0.5, 1.0], np.log(sprung)))
+    at[:, ZETA] = np.where(share < 0.5, np.inf, zeta)
+    return at
 
 
 def random_duty(seed: int, number: int) -> Duty:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 from dashpot.commands import NATIVE_LOOP, quiet_engine
 from dashpot.commands.simulate_view import draw, show
 
+LOGGED = 1e-4  # [s], longest step of the engine for a log
 LEAD_IN = 1.0  # [s] at rest before a motion
 DURATION = 6.0  # [s] of a motion that does not say
 MAX_TICKS = 1_000_000  # of one recording: about 1 GB of memory for seven joints
@@ -45,7 +46,9 @@ def simulate(options: Simulate) -> int:
     robot, config = Robot.load(options.robot), load_controller(options.controller)
     controller = Controller.from_config(config, robot.drives)
     payload = Payload(options.payload, _offset(options))
-    plant = build(robot, config.period, [payload] if payload.mass > 0 else [])
+    # A log stands for the real thing, whose friction and damping do not depend on a time step.
+    step = config.period if options.log is None else config.period / math.ceil(config.period / LOGGED)
+    plant = build(robot, step, [payload] if payload.mass > 0 else [])
     path = _path(options, robot, config.period)
     _warn_of_range(plant, path, options)
     _warn_of_saturation(plant, path, payload)

@@ -375,3 +375,14 @@ def test_step_with_nan_holds_a_finite_torque():
     controller.inputs.torque[:] = np.nan
     assert controller.step(out) != 0
     assert np.isfinite(out).all()
+
+
+@pytest.mark.parametrize("arguments", [["design", "--help"], ["--help"]])
+def test_a_reader_that_leaves_is_no_error(arguments):
+    """`dashpot design --help | head`: no traceback when the pipe is closed."""
+    whole = [sys.executable, "-m", "dashpot.cli", *arguments]
+    command = subprocess.Popen(whole, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0)
+    command.stdout.close()
+    assert command.stderr.read() == b""
+    command.stderr.close()
+    assert command.wait() == 141

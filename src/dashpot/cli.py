@@ -423,13 +423,13 @@ def main(arguments: list[str] | None = None) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("always", InputWarning)
         warnings.showwarning = _show_warning
-        command = tyro.cli(
-            Command,
-            prog="dashpot",
-            description="Virtual passive control for torque-sensed robot joints.",
-            args=arguments,
-        )
         try:
+            command = tyro.cli(
+                Command,
+                prog="dashpot",
+                description="Virtual passive control for torque-sensed robot joints.",
+                args=arguments,
+            )
             with _tidy_stop():
                 status = command.run()
         except DashpotError as error:

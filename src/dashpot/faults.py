@@ -195,7 +195,10 @@ class Fault:
             self._refuse("takes no value; leave it out", "value")
         if _bad(self.value) or not kind.low <= self.value <= kind.high:
             self._refuse(
-                f"{kind.quantity}, must be {kind.low:g} to {kind.high:g} {kind.unit}", "value", kind.unit
+                f"{kind.quantity}, must be {kind.low:g} to {kind.high:g}"
+                + ("" if kind.unit == "-" else f" {kind.unit}"),
+                "value",
+                kind.unit,
             )
         if kind.unit == "ticks" and self.value != int(self.value):
             self._refuse("must be a whole number of ticks", "value", kind.unit)
@@ -211,9 +214,9 @@ class Fault:
     def __str__(self) -> str:
         """As `from_text` reads it."""
         joint = "" if self.joint == "all" else f":{self.joint}"
-        end = "" if math.isinf(self.end) else f"-{self.end:g}"
-        value = "" if self.value is None else f"={self.value:g}"
-        return f"{self.kind}{joint}@{self.start:g}{end}{value}"
+        end = "" if math.isinf(self.end) else f"-{_exact(self.end)}"
+        value = "" if self.value is None else f"={_exact(self.value)}"
+        return f"{self.kind}{joint}@{_exact(self.start)}{end}{value}"
 
     def size(self, drive: Drive) -> float:
         """The value for one joint, its default where none was given; 0 for a kind without one."""
@@ -239,7 +242,7 @@ class Fault:
             InputError: Naming file, joint, key, value and rule.
         """
         check_keys(table, {"kind", "start", "end", "joint", "value"}, {"kind", "start"}, file=file)
-        values = {key: as_float(value) if type(value) is int else value for key, value in table.items()}
+        values: dict[str, Any] = {k: as_float(v) if type(v) is int else v for k, v in table.items()}
         try:
             return cls(**values)
         except InputError as error:
@@ -270,3 +273,8 @@ class Fault:
 
 def _bad(value: object) -> bool:
     return isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value)
+
+
+def _exact(value: float) -> str:
+    """All digits of a number, without an empty fraction."""
+    return repr(float(value)).removesuffix(".0")

@@ -456,7 +456,7 @@ def test_a_heavier_load_is_held_with_its_weight(k807):
     before, after = (np.array(found.torque[k]) for k in (199, -1))
     np.testing.assert_allclose(before, plant.load_torque(found.link_position[199]), atol=0.05)
     np.testing.assert_allclose(
-        after, with_payload(plant, load).load_torque(found.link_position[-1]), atol=0.3
+        after, with_payload(plant, load, H).load_torque(found.link_position[-1]), atol=0.3
     )
     assert np.abs(after - before).max() > 5
 
@@ -471,7 +471,7 @@ def test_a_load_that_needs_a_shorter_step_gets_it_from_the_start(tmp_path):
             heavy, vpc(robot, H, 5.0, 3.0, 0.5), hold([0.0], 0.2, H), payload_changes=[PayloadChange(0.1)]
         )
     )
-    assert found.settings["timestep"] <= light.timestep * (1 + 1e-12)
+    assert found.settings["timestep"] == light.timestep
     assert heavy.model.opt.timestep == heavy.timestep  # the scenario's own plant is left as it was
 
 
@@ -563,7 +563,7 @@ def test_a_fault_survives_its_text_and_its_table(fault):
         ({"kind": "brownout", "start": 2, "joint": "j"}, "is of the whole arm"),
         ({"kind": "encoder_lost", "start": 2, "joint": 5}, 'must be the name of a joint, or "all"'),
         ({"kind": "encoder_lost", "start": 2, "value": 1}, "takes no value"),
-        ({"kind": "saturation", "start": 2, "value": 1.5}, "saturation value [-] = 1.5: share, must be 0 to 1"),
+        ({"kind": "saturation", "start": 2, "value": 2}, "value [-] = 2.0: share, must be 0 to 1"),
         ({"kind": "samples_late", "start": 2, "value": 1.5}, "whole number of ticks"),
         ({"kind": "samples_late", "start": 2, "value": 65}, "must be 0 to 64 ticks"),
         ({"kind": "torque_bias", "start": 2, "value": True}, "bias, must be -10000 to 10000 N m"),

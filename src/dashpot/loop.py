@@ -170,9 +170,9 @@ class Loop:
         changes = []
         for change in scenario.payload_changes:
             tick = tick_of(change.time, scenario.trajectory, "payload change")
-            changes.append((tick, with_payload(plant, change.payload)))
+            changes.append((tick, with_payload(plant, change.payload, scenario.trajectory.period)))
         changes.sort(key=lambda change: change[0])
-        step = min((loaded.timestep for _, loaded in changes), default=plant.timestep)
+        step = min([plant.timestep, *(loaded.timestep for _, loaded in changes)])
         if step < plant.timestep:
             plant = with_timestep(plant, step)
         models = []

@@ -80,7 +80,9 @@ class Plant:
     timestep: float
     stiffest: float
     step_said: str
-    loaded: dict[Any, Plant] = field(default_factory=dict, init=False, repr=False, compare=False)
+    loaded: dict[tuple[float, ...], Plant] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def rotor_qpos(self) -> NDArray[np.int32]:
@@ -356,16 +358,18 @@ def build(robot: Robot, period: float, payloads: Sequence[Payload] = ()) -> Plan
     return Plant(robot, model, records, dt, stiffest, said)
 
 
-def with_payload(plant: Plant, payload: Payload | None) -> Plant:
-    """The same arm with another load instead of all it carries; its time step may be shorter, never longer.
+def with_payload(plant: Plant, payload: Payload | None, period: float) -> Plant:
+    """The same arm with another load instead of all it carries, for a control period [s].
+
+    Its time step is its own. It is built once and kept in `Plant.loaded`.
 
     Raises:
         InputError: The arm with this payload cannot be simulated.
     """
     load = payload if payload is not None and payload.mass > 0 else None
-    key = None if load is None else (load.mass, *load.position, load.length)
+    key = (period, *((load.mass, *load.position, load.length) if load else ()))
     if key not in plant.loaded:
-        plant.loaded[key] = build(plant.robot, plant.timestep, [load] if load else [])
+        plant.loaded[key] = build(plant.robot, period, [load] if load else [])
     return plant.loaded[key]
 
 

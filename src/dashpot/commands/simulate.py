@@ -56,7 +56,7 @@ def simulate(options: Simulate) -> int:
     faults, changes = read_faults(options.fault), read_changes(options.payload_at, payload)
     for change in changes:
         if change.payload is not None:
-            _warn_of_saturation(with_payload(plant, change.payload), path, change.payload)
+            _warn_of_saturation(with_payload(plant, change.payload, config.period), path, change.payload)
     events = [Event(path.start, joint, "mode", "bypass") for joint in options.bypass]
     if options.release is not None:
         if not path.time[0] <= options.release <= path.time[-1]:  # also catches NaN

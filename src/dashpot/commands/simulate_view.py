@@ -111,12 +111,9 @@ def show(
         console.print()
         console.print(listed(found_marks))
     console.print()
-    step = recording.settings["timestep"]
-    said = (
-        plant.step_said
-        if step == plant.timestep
-        else f"{plant.step_said}; a payload on the way needs {float(step) * 1e6:.1f} us"
-    )
+    said, step = plant.step_said, recording.settings["timestep"]
+    if isinstance(step, float) and step != plant.timestep:
+        said = f"physics step {step * 1e6:.1f} us, as a payload on the way needs it"
     console.print(said, highlight=False, style="dim")
     for line in oscillating:
         console.print(f"[yellow]{line}[/]", highlight=False)

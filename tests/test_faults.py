@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import subprocess
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +24,7 @@ from dashpot.plant import build, with_payload
 from dashpot.recording import CHANNELS
 from dashpot.robot import Robot
 from dashpot.sampled import empty_block
-from dashpot.simulate import Event, PayloadChange, Scenario, run
+from dashpot.simulate import Event, PayloadChange, Scenario, run, run_many
 from dashpot.trajectory import Trajectory, hold, multisine
 
 H = 5e-3
@@ -392,6 +394,34 @@ def test_a_servo_does_not_wind_up_while_its_motor_is_off(tmp_path):
     assert healthy.link_position[-1, 0] == pytest.approx(1.0, abs=0.05)
 
 
+def test_a_supervisor_is_called_in_the_controllers_place(tmp_path):
+    native, program = Path(__file__).parent.parent / "native", tmp_path / "supervised"
+    sources = [native / f"dashpot_{name}.c" for name in ("core", "runner", "faults")]
+    sources.append(Path(__file__).parent / "supervised.c")
+    flags = [
+        "-std=c99",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-O1",
+        "-fsanitize=undefined",
+        "-fno-sanitize-recover",
+    ]
+    subprocess.run(["cc", *flags, f"-I{native}", *sources, "-lm", "-o", program], check=True)
+    done = subprocess.run([program], check=True, capture_output=True, text=True)
+    *ages, last = done.stdout.splitlines()
+    torque, encoder = np.array([line.split() for line in ages], int).T
+    k = np.delete(np.arange(200), [55, 56])  # nobody is called in a brownout
+    late = np.where((k >= 10) & (k < 20), k - 9, np.where((k >= 40) & (k < 50), np.minimum(k - 39, 3), 0))
+    np.testing.assert_array_equal(torque, late)
+    np.testing.assert_array_equal(encoder, np.where((k >= 30) & (k < 35), k - 29, late))
+    calls, moving, held, torque_in_effect = map(float, last.split())
+    assert calls == 198
+    assert moving == pytest.approx(58e-3 / 0.25, rel=0.2)  # 1 N m in 58 of 60 ticks; the link still swings
+    assert abs(held) < 0.05 * moving
+    assert torque_in_effect == 0  # and the motor is off
+
+
 # --- contact and payload ---------------------------------------------------------------------------
 
 
@@ -502,6 +532,17 @@ def test_a_run_cut_into_pieces_is_the_run(k807, cuts):
         assert np.isnan(loop.recording().link_position[cut:]).all()
     loop.advance()
     assert same(loop.recording(), run(scenario))
+
+
+def test_bits_of_faults_and_payloads_do_not_depend_on_threads(k807):
+    k807.plant.loaded.clear()
+    faults = [Fault("samples_dropped", 0.0, value=0.2), Fault("contact", 0.2), Fault("torque_noise", 0.1)]
+    changes = [PayloadChange(0.1, Payload(1.0, 0.1)), PayloadChange(0.3)]
+    scenarios = [replace(k807, faults=faults, payload_changes=changes, seed=seed) for seed in range(4)]
+    alone = [run(scenario) for scenario in scenarios]
+    k807.plant.loaded.clear()
+    assert all(map(same, run_many(scenarios, threads=2), alone))
+    assert not same(alone[0], alone[1])
 
 
 # --- safety ---------------------------------------------------------------------------------------
@@ -616,3 +657,18 @@ def test_signals_do_not_fail_where_there_is_no_controller(tmp_path):
 def test_too_many_faults_are_refused(k807):
     with pytest.raises(InputError, match="at most 256, counting each joint"):
         run(replace(k807, faults=[Fault("saturation", 0.1)] * 37))
+
+
+def test_the_documented_table_is_the_table():
+    text = (Path(__file__).parent.parent / "docs" / "faults.md").read_text(encoding="utf-8")
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in text.splitlines()
+        if line[:3] == "| `"
+    ]
+    expected = []
+    for name, kind in KINDS.items():
+        span = f"{kind.low:.4g} to {kind.high:.4g}" if kind.quantity else ""
+        unit = f" [{kind.unit}]" if kind.quantity else ""
+        expected.append([f"`{name}`", kind.meaning, kind.quantity + unit, span, kind.default_said])
+    assert rows == expected

@@ -34,7 +34,6 @@ from measure import SETS, Rows, Timed, bytes_in_use, calls, interleave
 from rich.console import Console
 
 import dashpot._native as _native
-from dashpot import simulate
 from dashpot.controller import Controller, ControllerConfig, JointGains, load_controller
 from dashpot.plant import Plant, build
 from dashpot.robot import Robot
@@ -78,11 +77,11 @@ class Loop:
             return result
 
         native_run = _native.run
-        simulate._native.run = timed
+        _native.run = timed
         try:
             recording = run(scenario)
         finally:
-            simulate._native.run = native_run
+            _native.run = native_run
         if recording.diverged_at is not None:
             raise RuntimeError("the benchmark's closed loop diverged")
         return seen[2], recording, seen[0], seen[1]

@@ -5,6 +5,7 @@
 #include <stdexcept>
 #include <string>
 
+#include "dashpot_faults.h"
 #include "dashpot_runner.h"
 #include "dashpot_stops.h"
 
@@ -23,6 +24,11 @@ struct Core {
     dp_controller c{};
     double in[DP_NIN * DP_MAX_JOINTS] = {};
     double out[DP_MAX_JOINTS] = {};
+};
+
+// The faults of one run, with what they remember; used by one run at a time.
+struct Faults {
+    dp_faults f{};
 };
 
 const dp_block *blocks_of(const Bytes &raw, int &n) {
@@ -50,7 +56,7 @@ double *optional(nb::object o, size_t size, const char *name) {
 
 nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t model, uintptr_t data, Vector qpos,
               Vector qvel, Vector qfrc_applied, double dt, int steps_per_tick, int ticks, nb::object reference,
-              nb::object external, nb::object record, nb::object status) {
+              nb::object external, nb::object record, nb::object status, Faults *faults, int first, int last) {
     if (drives.size() == 0 || drives.size() % sizeof(dp_drive) || events.size() % sizeof(dp_event))
         throw std::invalid_argument("drive or event records have the wrong size");
     dp_run_args a{};
@@ -67,8 +73,13 @@ nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t 
     a.events = static_cast<int>(events.size() / sizeof(dp_event));
     a.drive = reinterpret_cast<dp_drive *>(drives.data());
     a.event = reinterpret_cast<const dp_event *>(events.data());
-    if (a.drives > DP_MAX_JOINTS || ticks < 0 || steps_per_tick < 1)
+    a.first = first;
+    a.last = last < 0 ? ticks : last;
+    if (a.drives > DP_MAX_JOINTS || ticks < 0 || steps_per_tick < 1 || first < 0 || a.last > ticks)
         throw std::invalid_argument("too many drives, or a bad number of ticks or steps");
+    if (faults && faults->f.drives != a.drives)
+        throw std::invalid_argument("the faults are those of another number of drives");
+    a.faults = faults ? &faults->f : nullptr;
     for (int j = 0; j < a.drives; j++) {
         const dp_drive &d = a.drive[j];
         auto bad = [](int i, size_t n) { return i < 0 || static_cast<size_t>(i) >= n; };
@@ -132,6 +143,9 @@ NB_MODULE(_native, m) {
     m.attr("MAX_JOINTS") = static_cast<int>(DP_MAX_JOINTS);
     m.attr("MAX_LATENCY") = static_cast<int>(DP_MAX_LATENCY);
     m.attr("MAX_DELAY") = static_cast<int>(DP_MAX_DELAY);
+    m.attr("FAULT_SIZE") = sizeof(dp_fault);
+    m.attr("MAX_FAULTS") = static_cast<int>(DP_MAX_FAULTS);
+    m.attr("MAX_LATE") = static_cast<int>(DP_MAX_LATE);
 
     nb::class_<Core>(m, "Core")
         .def("__init__",
@@ -178,10 +192,33 @@ NB_MODULE(_native, m) {
                                        nb::make_tuple(t.x[0], t.x[1], t.x[2], t.x[3]));
              });
 
+    nb::class_<Faults>(m, "Faults")
+        .def("__init__",
+             [](Faults *self, Bytes script, Square of, double brake_delay) {
+                 if (script.size() % sizeof(dp_fault) || of.shape(1) * sizeof(double) != sizeof(dp_fault_drive))
+                     throw std::invalid_argument("fault or drive records have the wrong size");
+                 new (self) Faults();
+                 if (dp_faults_init(&self->f, reinterpret_cast<const dp_fault *>(script.data()),
+                                    static_cast<int>(script.size() / sizeof(dp_fault)),
+                                    reinterpret_cast<const dp_fault_drive *>(of.data()),
+                                    static_cast<int>(of.shape(0)), brake_delay) != 0)
+                     throw std::invalid_argument("a number of faults or drives, a kind or a value is out of range");
+             },
+             nb::arg("script"), nb::arg("drives"), nb::arg("brake_delay"))
+        .def_prop_rw("apply_brake", [](const Faults &s) { return s.f.apply_brake != 0; },
+                     [](Faults &s, bool on) { s.f.apply_brake = on; })
+        .def_prop_ro("ages", [](const Faults &s) {
+            nb::list ages;
+            for (int j = 0; j < s.f.drives; j++)
+                ages.append(nb::make_tuple(s.f.torque_age[j], s.f.encoder_age[j]));
+            return ages;
+        });
+
     m.def("run", &run, nb::arg("core").none(), nb::arg("drives").noconvert(), nb::arg("events"), nb::arg("step"), nb::arg("model"),
           nb::arg("data"), nb::arg("qpos").noconvert(), nb::arg("qvel").noconvert(), nb::arg("qfrc_applied").noconvert(), nb::arg("dt"),
           nb::arg("steps_per_tick"), nb::arg("ticks"), nb::arg("reference").none(), nb::arg("external").none(),
-          nb::arg("record").none(), nb::arg("status").none());
+          nb::arg("record").none(), nb::arg("status").none(), nb::arg("faults").none() = nb::none(), nb::arg("first") = 0,
+          nb::arg("last") = -1);
 
     m.def("stops", &stops, nb::arg("blocks"), nb::arg("slip").noconvert(), nb::arg("stick").noconvert(), nb::arg("start"),
           nb::arg("sample"), nb::arg("rotor"), nb::arg("held"), nb::arg("link"), nb::arg("spring"), nb::arg("slips"),

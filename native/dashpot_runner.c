@@ -1,5 +1,7 @@
 #include "dashpot_runner.h"
 
+#include "dashpot_faults.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -10,8 +12,7 @@ static double clamp(double x, double limit)
     return x > limit ? limit : (x < -limit ? -limit : x);
 }
 
-/* splitmix64: state advances by a constant, so each drive's stream depends on its seed only. */
-static double uniform(unsigned long long *state)
+double dp_uniform(unsigned long long *state)
 {
     unsigned long long z = (*state += 0x9E3779B97F4A7C15ULL);
     z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9ULL;
@@ -28,8 +29,8 @@ static double gaussian(unsigned long long *state, double *spare)
         *spare = NAN;
         return value;
     }
-    double radius = sqrt(-2.0 * log(uniform(state)));
-    double angle = 6.283185307179586 * uniform(state);
+    double radius = sqrt(-2.0 * log(dp_uniform(state)));
+    double angle = 6.283185307179586 * dp_uniform(state);
     *spare = radius * sin(angle);
     return radius * cos(angle);
 }
@@ -134,18 +135,31 @@ static const double *row(const double *table, const dp_run_args *a, int field, i
     return &table[((long)field * a->ticks + tick) * a->drives + j];
 }
 
-static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in, double *out, double *encoder)
+static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in, double *out)
 {
     const int n = c ? c->n : 0;
+    const double period = a->dt * a->steps_per_tick;
+    dp_faults *f = a->faults;
+    int torque_age[DP_MAX_JOINTS] = {0}, encoder_age[DP_MAX_JOINTS] = {0}, powered = 1;
+    if (f) {
+        dp_faults_tick(f, a, tick);
+        powered = f->powered;
+    }
     for (int j = 0; j < a->drives; j++) {
         dp_drive *d = &a->drive[j];
         double q = a->qpos[d->rotor_qpos], w = a->qvel[d->rotor_dof];
         if (d->position_resolution > 0.0) {
             q = d->position_resolution * floor(q / d->position_resolution + 0.5);
-            w = tick > 0 ? (q - encoder[j]) / (a->dt * a->steps_per_tick) : w;
+            w = tick > 0 ? (q - d->encoder) / period : w;
         }
-        encoder[j] = q;
+        d->encoder = q;
         double tau = sample(d, tick > 0 ? a->steps_per_tick : 0);
+        const int i = d->control;
+        if (f && i >= 0) {
+            dp_faults_sample(f, j, tick, period, &tau, &q, &w);
+            torque_age[i] = f->torque_age[j];
+            encoder_age[i] = f->encoder_age[j];
+        }
         if (a->record) {
             record(a, tick, j, DP_REC_POSITION, q);
             record(a, tick, j, DP_REC_VELOCITY, w);
@@ -154,7 +168,6 @@ static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in,
             record(a, tick, j, DP_REC_TORQUE, d->tau);
             record(a, tick, j, DP_REC_SAMPLE, tau);
         }
-        int i = d->control;
         if (i < 0)
             continue;
         in[DP_IN_TORQUE * n + i] = tau;
@@ -163,18 +176,22 @@ static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in,
         for (int k = 0; k < 4; k++)
             in[(DP_IN_POSITION_REF + k) * n + i] = a->reference ? *row(a->reference, a, k, tick, j) : 0.0;
     }
-    if (c) {
-        int status = dp_step(c, in, out);
+    if (c && powered) {
+        int status = a->supervise ? a->supervise(a->supervisor, c, in, torque_age, encoder_age, out)
+                                  : dp_step(c, in, out);
         if (a->status)
             a->status[tick] = status;
+        if (f && a->apply_brake)
+            f->apply_brake = *a->apply_brake;
     }
     for (int j = 0; j < a->drives; j++) {
         dp_drive *d = &a->drive[j];
         if (d->control >= 0)
             d->motor = c->state[d->control].in_effect;
         if (a->record) {
-            record(a, tick, j, DP_REC_COMMAND, d->control >= 0 ? out[d->control] : d->asked);
-            record(a, tick, j, DP_REC_IN_EFFECT, d->control >= 0 ? d->motor : d->asked);
+            double asked = f ? clamp(d->motor, d->torque_limit) : d->motor;
+            record(a, tick, j, DP_REC_COMMAND, d->control >= 0 ? (powered ? out[d->control] : 0.0) : d->asked);
+            record(a, tick, j, DP_REC_IN_EFFECT, d->control >= 0 ? asked : d->asked);
         }
     }
 }
@@ -195,27 +212,38 @@ static int apply_events(dp_controller *c, const dp_run_args *a, int tick, int ne
     return next;
 }
 
-int dp_run(dp_controller *c, dp_run_args *a)
+/* State of the drives at the first tick: springs at rest, filters settled. */
+static void begin(const dp_controller *c, dp_run_args *a)
 {
-    double in[DP_NIN * DP_MAX_JOINTS] = {0}, out[DP_MAX_JOINTS] = {0}, encoder[DP_MAX_JOINTS] = {0};
-    int next = 0;
-    long step = 0;
     for (int j = 0; j < a->drives; j++) {
         dp_drive *d = &a->drive[j];
         double tau = -(d->stiffness * a->qpos[d->spring_qpos] + d->damping * a->qvel[d->spring_dof]);
         d->filter_x[0] = d->measured_tau = d->inner_torque = d->tau = tau;
-        d->filter_x[1] = d->friction_z = d->hysteresis_z = d->sum = d->integral = 0.0;
+        d->filter_x[1] = d->friction_z = d->hysteresis_z = d->sum = d->integral = d->encoder = 0.0;
         d->spare = NAN;
         d->friction = d->inner_correction = 0.0;
         d->motor = d->asked = d->control >= 0 ? c->state[d->control].in_effect : 0.0;
         for (int i = 0; i < DP_MAX_DELAY; i++)
             d->delay[i] = tau;
     }
+    if (a->faults)
+        dp_faults_begin(a->faults, a->drive);
+}
+
+int dp_run(dp_controller *c, dp_run_args *a)
+{
+    double in[DP_NIN * DP_MAX_JOINTS] = {0}, out[DP_MAX_JOINTS] = {0};
+    int next = 0;
+    long step = (long)a->first * a->steps_per_tick;
+    if (a->first == 0)
+        begin(c, a);
+    while (next < a->events && a->event[next].tick < a->first)
+        next++;
     a->diverged_tick = -1;
-    for (int tick = 0; tick < a->ticks; tick++) {
+    for (int tick = a->first; tick < a->last; tick++) {
         if (c)
             next = apply_events(c, a, tick, next);
-        control_tick(c, a, tick, in, out, encoder);
+        control_tick(c, a, tick, in, out);
         for (int k = 0; k < a->steps_per_tick; k++, step++) {
             for (int j = 0; j < a->drives; j++) {
                 double reference[2] = {0.0, 0.0};
@@ -226,6 +254,8 @@ int dp_run(dp_controller *c, dp_run_args *a)
                 actuate(&a->drive[j], a, a->reference ? reference : 0, k * a->dt,
                         a->external ? *row(a->external, a, 0, tick, j) : 0.0, step);
             }
+            if (a->faults && a->faults->acting)
+                dp_faults_forces(a->faults, a);
             a->step(a->model, a->data);
             double fastest = 0.0;
             for (int j = 0; j < a->drives; j++) {

@@ -17,7 +17,7 @@ extern "C" {
 
 enum { DP_MAX_DELAY = 64 };
 
-/* Drive of one joint as simulated, with its state at the end (cleared by dp_run). What every physics step
+/* Drive of one joint as simulated, with its state (set by dp_run where it starts at tick 0). What every physics step
  * touches comes first: between two of our turns the engine has emptied the first-level cache. */
 typedef struct {
     double stiffness, damping;        /* transmission k [N m/rad], c [N m s/rad] */
@@ -48,6 +48,7 @@ typedef struct {
     int reserved;                     /* keeps the doubles below aligned */
     /* state */
     double hysteresis_z, integral, inner_torque, inner_correction, spare;
+    double encoder;                   /* rotor angle at the last tick, quantised [rad] */
     double delay[DP_MAX_DELAY];
     unsigned long long rng;
 } dp_drive;
@@ -74,6 +75,9 @@ enum {
 
 enum { DP_RUN_OK = 0, DP_RUN_DIVERGED = 1 };
 
+struct dp_faults;     /* dashpot_faults.h */
+struct dp_supervisor; /* what runs in the place of dp_step, if anything does */
+
 typedef struct {
     void (*step)(const void *model, void *data);
     const void *model;
@@ -82,7 +86,8 @@ typedef struct {
     double *qfrc_applied;
     double dt;          /* physics step [s] */
     int steps_per_tick;
-    int ticks;
+    int ticks;          /* of the whole run: rows of the tables below */
+    int first, last;    /* ticks to run now: first <= tick < last; a run may be cut anywhere */
     int drives;
     int events;
     dp_drive *drive;
@@ -92,12 +97,24 @@ typedef struct {
     double *record;          /* [DP_NREC][ticks][drives]; or null */
     int *status;             /* [ticks]: or-ed statuses of the controller; or null */
     int diverged_tick;
+    struct dp_faults *faults;          /* or null: nothing ever fails, at no cost */
+    /* Called in the place of dp_step, or null. It also gets the ages of every joint's signals, in ticks since
+     * the sample was taken (0: fresh). */
+    int (*supervise)(struct dp_supervisor *s, dp_controller *c, const double *in, const int *torque_age,
+                     const int *encoder_age, double *out);
+    struct dp_supervisor *supervisor;
+    const int *apply_brake;            /* the supervisor's flag, copied to faults after each call; or null */
 } dp_run_args;
 
-/* Runs a->ticks control periods; returns DP_RUN_OK or DP_RUN_DIVERGED (a rotor or link faster than
- * 1e4 rad/s, or not finite; records stop there and diverged_tick is set). The engine's qpos and qvel
- * are the initial state; rng seeds in drive[].rng must be set. */
+/* Runs ticks a->first to a->last; returns DP_RUN_OK or DP_RUN_DIVERGED (a rotor or link faster than
+ * 1e4 rad/s, or not finite; records stop there and diverged_tick is set). At tick 0 the engine's qpos and
+ * qvel are the initial state, rng seeds in drive[].rng must be set, and the drives' states are cleared. A
+ * later first goes on from the states that an earlier call has left, with the same bits as in one call; the
+ * engine's model may be another one with the same degrees of freedom, the time step may not. */
 int dp_run(dp_controller *c, dp_run_args *a);
+
+/* Uniform in (0, 1). splitmix64: the state advances by a constant, so a stream depends on its seed only. */
+double dp_uniform(unsigned long long *state);
 
 #ifdef __cplusplus
 }

@@ -105,6 +105,13 @@ def test_simulate_writes_a_whole_folder_and_replays_from_its_seed(dashpot):
         ("--duration", "0", "--duration [s] = 0.0: must be positive"),
         ("--duration", "1e6", "--duration [s] = 1000000.0: must be at most 5000 s, 1000000 ticks of 0.005 s"),
         ("--seed", "-1", "--seed [-] = -1: must not be negative"),
+        ("--fault", "brownout", "--fault = 'brownout': must be KIND[:JOINT]@START[-END][=VALUE], times in s"),
+        ("--fault", "brownuot@0", "fault kind = 'brownuot': no such kind of fault; did you mean 'brownout'?"),
+        ("--fault", "torque_nan:joint1@0", "joint 'joint1': torque_nan: is under the robot's own servo"),
+        ("--fault", "brownout@9", "brownout start [s] = 9.0: outside the trajectory, -1 to 0.045 s"),
+        ("--payload-at", "0=x", "--payload-at = '0=x': must be TIME=KG, in s and kg, e.g. 2=3.5"),
+        ("--payload-at", "0=-1", "--payload-at [kg] = -1.0: must be finite and not negative"),
+        ("--payload-at", "9=1", "payload change [s] = 9.0: outside the trajectory"),
         ("--release", "-2", "--release [s] = -2.0: must be within the motion, -1 to 0.045 s"),
         ("--release", "0.05", "--release [s] = 0.05: must be within the motion, -1 to 0.045 s"),
         ("--bypass", "j5", "joint 'j5': not controlled here; controlled: joint5, joint6, joint7"),
@@ -232,6 +239,42 @@ def test_a_release_with_a_payload_beside_the_axis(dashpot, monkeypatch):
         assert 0 < took < 0.3
         angle = np.degrees(recording.link_position[:, j])
         assert moved + then == pytest.approx(angle[-1] - angle[at], abs=0.011)
+
+
+def test_faults_and_payloads_on_the_way_are_listed_and_recorded(dashpot, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    faults = (
+        "--fault",
+        "encoder_lost:joint5@0.1-0.3",
+        "--fault",
+        "torque_bias@0.2",
+        "--fault",
+        "torque_nan@0.6",
+    )
+    status, out, err = dashpot(
+        *SHORT[:3], "--duration", 0.8, *faults, "--payload-at", "0.4=3", "--offset", 0.1
+    )
+    assert (status, err) == (0, [])
+    rows = [re.split(r"  +", line.strip()) for line in out.splitlines() if re.match("[A-D]  ", line)]
+    assert [row[:5] for row in rows] == [
+        ["A", "encoder_lost", "joint5", "0.1", "0.3"],
+        ["B", "torque_bias", "all", "0.2", "end"],
+        ["C", "payload", "0.4", "end", "3 kg"],
+        ["D", "torque_nan", "all", "0.6", "end"],
+    ]
+    assert "nan" not in out.replace("torque_nan", "")
+    recording = Recording.load("out/simulate/recording.npz")
+    assert recording.settings["faults"][0] == {
+        "kind": "encoder_lost",
+        "joint": "joint5",
+        "start": 0.1,
+        "end": 0.3,
+    }
+    change = {"time": 0.4, "mass": 3.0, "offset": [0.1, 0.0, 0.0], "length": 0.0}
+    assert recording.settings["payload_changes"] == [change]
+    lost = np.isnan(recording.position[:, 4])
+    np.testing.assert_allclose(recording.time[lost][[0, -1]], [0.1, 0.295])
+    assert np.isfinite(recording.link_position).all()
 
 
 def test_names_are_not_markup_nor_formulas(dashpot, arm, tmp_path):

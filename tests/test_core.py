@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from dashpot import _native
 from dashpot.controller import BLENDING, NOT_FINITE, RATE_LIMITED, TORQUE_LIMITED, Controller
 from dashpot.errors import InputError
+from dashpot.loop import EVENT_DTYPE
 from dashpot.plant import DRIVE_DTYPE
 from dashpot.sampled import (
     BLOCK_DTYPE,
@@ -25,7 +26,6 @@ from dashpot.sampled import (
     pd_block,
     virtual_passive_block,
 )
-from dashpot.simulate import EVENT_DTYPE
 
 NATIVE = Path(__file__).parent.parent / "native"
 H = 1e-3

@@ -13,11 +13,12 @@ from dashpot import _native
 from dashpot import plant as plant_module
 from dashpot.controller import Controller, ControllerConfig, JointGains
 from dashpot.linear import closed_loop, linearise, modes, spectral_radius
+from dashpot.loop import _mj_step
 from dashpot.payload import Payload
 from dashpot.plant import build
 from dashpot.recording import CHANNELS
 from dashpot.robot import Robot
-from dashpot.simulate import Event, Scenario, _mj_step, run
+from dashpot.simulate import Event, Scenario, run
 from dashpot.trajectory import hold
 
 H = 5e-3

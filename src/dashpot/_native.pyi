@@ -11,6 +11,9 @@ EVENT_SIZE: int
 MAX_JOINTS: int
 MAX_LATENCY: int
 MAX_DELAY: int
+FAULT_SIZE: int
+MAX_FAULTS: int
+MAX_LATE: int
 
 class Core:
     n: int
@@ -26,6 +29,13 @@ class Core:
     def warm_start(self, joint: int, velocity: float) -> None: ...
     def preset(self, joint: int, x: NDArray[np.float64], torque: float) -> None: ...
     def joint_state(self, joint: int) -> tuple[int, bool, float, float, int, tuple[float, ...]]: ...
+
+class Faults:
+    apply_brake: bool
+    ages: list[tuple[int, int]]
+    def __init__(
+        self, script: NDArray[np.uint8], drives: NDArray[np.float64], brake_delay: float
+    ) -> None: ...
 
 def run(
     core: Core | None,
@@ -44,6 +54,9 @@ def run(
     external: NDArray[np.float64] | None,
     record: NDArray[np.float64] | None,
     status: NDArray[np.int32] | None,
+    faults: Faults | None = None,
+    first: int = 0,
+    last: int = -1,
 ) -> tuple[int, int]: ...
 def stops(
     blocks: NDArray[np.uint8],

@@ -70,8 +70,22 @@ class Simulate:
     """Joints whose virtual passive control is bypassed: their position loop acts alone."""
     tap: Annotated[float, tyro.conf.arg(metavar="N_M")] = 0.0
     """Knock the last link at time 0 with this torque for about 10 ms [N m]."""
+    fault: Annotated[
+        tuple[str, ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(metavar="KIND[:JOINT]@START[-END][=VALUE]", help_behavior_hint="(default: none)"),
+    ] = ()
+    """Something that fails, e.g. encoder_lost:joint5@2 or torque_bias@2-3=4; may be given several times.
+    docs/faults.md lists the kinds; times in s."""
+    payload_at: Annotated[
+        tuple[str, ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(metavar="TIME=KG", help_behavior_hint="(default: never)"),
+    ] = ()
+    """From this time on [s] the flange carries this mass [kg] at the same offset, 0: it has let go; may be
+    given several times."""
     seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
-    """Seed of motion and sensor noise."""
+    """Seed of motion, sensor noise and dropped samples."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/simulate")
     """Folder for recording.npz and simulate.png; replaced as a whole."""
     log: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None

@@ -8,10 +8,11 @@ in the native loop (native/dashpot_runner.c) around ``mj_step``.
 
 from __future__ import annotations
 
+import copy
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,7 @@ DRIVE_DTYPE = np.dtype(
         *((name, "f8") for name in ("measured_tau", "friction", "asked", *_COLD)),
         *((name, "i4") for name in ("inner_steps", "reserved")),
         *((name, "f8") for name in ("hysteresis_z", "integral", "inner_torque", "inner_correction", "spare")),
+        ("encoder", "f8"),
         ("delay", "f8", (_native.MAX_DELAY,)),
         ("rng", "u8"),
     ],
@@ -69,6 +71,7 @@ class Plant:
         timestep: Physics step [s].
         stiffest: Highest natural frequency of the elastic joints [rad/s], which set the step.
         step_said: One line that says how the step was chosen.
+        loaded: The same arm with other loads, as `with_payload` has built them.
     """
 
     robot: Robot
@@ -77,6 +80,9 @@ class Plant:
     timestep: float
     stiffest: float
     step_said: str
+    loaded: dict[tuple[float, ...], Plant] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def rotor_qpos(self) -> NDArray[np.int32]:
@@ -350,3 +356,27 @@ def build(robot: Robot, period: float, payloads: Sequence[Payload] = ()) -> Plan
         f"(stiffest mode {stiffest:.0f} rad/s)"
     )
     return Plant(robot, model, records, dt, stiffest, said)
+
+
+def with_payload(plant: Plant, payload: Payload | None, period: float) -> Plant:
+    """The same arm with another load instead of all it carries, for a control period [s].
+
+    Its time step is its own. It is built once and kept in `Plant.loaded`.
+
+    Raises:
+        InputError: The arm with this payload cannot be simulated.
+    """
+    load = payload if payload is not None and payload.mass > 0 else None
+    key = (period, *((load.mass, *load.position, load.length) if load else ()))
+    if key not in plant.loaded:
+        plant.loaded[key] = build(plant.robot, period, [load] if load else [])
+    return plant.loaded[key]
+
+
+def with_timestep(plant: Plant, timestep: float) -> Plant:
+    """The same plant with a shorter time step [s]."""
+    model, drives = copy.copy(plant.model), plant.drives.copy()
+    model.opt.timestep = timestep
+    _set_step(drives, plant.robot, timestep)
+    said = f"physics step {timestep * 1e6:.1f} us: the shortest that one of the payloads needs"
+    return replace(plant, model=model, drives=drives, timestep=timestep, step_said=said)

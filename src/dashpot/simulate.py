@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any, Literal
 
-import mujoco
-import numpy as np
-from numpy.typing import NDArray
-
-import dashpot._native as _native
-from dashpot.controller import MODES, Controller, ControllerConfig
-from dashpot.equilibrium import settle
-from dashpot.errors import DashpotError, InputError
+from dashpot.controller import Controller, ControllerConfig
+from dashpot.faults import Fault
+from dashpot.loop import Loop
 from dashpot.payload import Payload
 from dashpot.plant import Plant, build
-from dashpot.recording import CHANNELS, Recording
+from dashpot.recording import Recording
 from dashpot.robot import Robot
-from dashpot.sampled import BLOCK_DTYPE, Floats
+from dashpot.sampled import Floats
 from dashpot.trajectory import Trajectory
 
-EVENT_DTYPE = np.dtype([("tick", "i4"), ("joint", "i4"), ("kind", "i4"), ("value", "i4")])
 EventKind = Literal["mode", "position_loop", "warm_start"]
-_KINDS = {"mode": 0, "position_loop": 1, "warm_start": 2}
 
 
 @dataclass(frozen=True)
@@ -50,6 +40,27 @@ class Event:
 
 
 @dataclass(frozen=True)
+class PayloadChange:
+    """The flange picks something up, or lets it go: from then on it carries this load instead of all others.
+
+    Angles and velocities go on as they are: what is picked up moves as the hand does.
+
+    Attributes:
+        time: [s], on the trajectory's clock.
+        payload: From then on; None: nothing.
+    """
+
+    time: float
+    payload: Payload | None = None
+
+    def table(self) -> dict[str, Any]:
+        """Time [s], mass [kg], offset (3,) [m] and length [m], as JSON can hold them."""
+        load = self.payload or Payload(0.0)
+        offset = load.position.tolist()
+        return {"time": self.time, "mass": load.mass, "offset": offset, "length": load.length}
+
+
+@dataclass(frozen=True)
 class Scenario:
     """One closed-loop run.
 
@@ -60,8 +71,10 @@ class Scenario:
             first position.
         events: In any order.
         external: Torque on each link, (ticks, n) [N m], or None.
-        seed: Seed of the sensor noise.
+        seed: Seed of the sensor noise and of dropped samples.
         label: For messages.
+        faults: In any order; those at the same time compose (docs/faults.md).
+        payload_changes: In any order.
     """
 
     plant: Plant
@@ -71,177 +84,20 @@ class Scenario:
     external: Floats | None = None
     seed: int = 0
     label: str = ""
-
-
-@cache
-def _mj_step() -> int:
-    """Address of ``mj_step`` in the library the mujoco package loaded."""
-    folder = Path(mujoco.__file__).parent
-    for path in sorted([*folder.glob("libmujoco*"), *folder.glob("mujoco.dll")]):
-        address = ctypes.cast(ctypes.CDLL(str(path)).mj_step, ctypes.c_void_p).value
-        if address:
-            return address
-    raise DashpotError(f"{folder}: no MuJoCo library with mj_step; reinstall mujoco")
-
-
-def _events(scenario: Scenario) -> NDArray[np.void]:
-    controller, trajectory = scenario.controller, scenario.trajectory
-    rows: list[tuple[int, int, int, int]] = []
-    for event in scenario.events:
-        if event.kind not in _KINDS:
-            raise InputError(f"must be one of {', '.join(_KINDS)}", quantity="event kind", value=event.kind)
-        if controller is None:
-            raise InputError("events need a controller", quantity=event.kind)
-        if event.kind == "mode" and event.value not in MODES:
-            raise InputError(
-                f"must be one of {', '.join(MODES)}", joint=event.joint, quantity="mode", value=event.value
-            )
-        tick = (event.time - trajectory.start) / trajectory.period
-        if not -0.5 <= tick < len(trajectory.position) - 0.5:  # also catches NaN
-            raise InputError(
-                f"outside the trajectory, {trajectory.time[0]:g} to {trajectory.time[-1]:g} s",
-                joint=event.joint,
-                quantity="event time [s]",
-                value=event.time,
-            )
-        tick = round(tick)
-        value = MODES.index(str(event.value)) if event.kind == "mode" else int(bool(event.value))
-        names = controller.joints if event.joint == "all" else (event.joint,)
-        rows += [(tick, controller.index(name), _KINDS[event.kind], value) for name in names]
-    rows.sort(key=lambda row: row[0])
-    return np.array(rows, EVENT_DTYPE)
-
-
-def _start(scenario: Scenario, core: Any, events: NDArray[np.void], data: Any) -> None:
-    """Puts the arm at rest in equilibrium with the first reference; without one, at it with slack springs."""
-    plant, controller = scenario.plant, scenario.controller
-    reference = scenario.trajectory.position[0]
-    joints = controller.joints if controller else ()
-    blocks = controller.blocks if controller else np.zeros(0, BLOCK_DTYPE)
-    modes = {joint: "active" for joint in joints}
-    for event in events:
-        if event["tick"] == 0 and event["kind"] == _KINDS["mode"]:
-            modes[joints[event["joint"]]] = MODES[event["value"]]
-    found = None
-    if "off" not in modes.values():
-        found = settle(plant, joints, blocks, reference, [j for j, mode in modes.items() if mode == "bypass"])
-    if found is None:
-        data.qpos[plant.rotor_qpos] = reference
-        return
-    data.qpos[plant.rotor_qpos] = found.rotor
-    data.qpos[plant.drives["spring_qpos"]] = found.deflection
-    for i, joint in enumerate(joints):
-        core.preset(i, found.states[i], found.torque[plant.robot.index(joint)])
-
-
-def _check(scenario: Scenario) -> None:
-    """Checks that plant, controller, trajectory and external torque fit together."""
-    plant, controller, trajectory = scenario.plant, scenario.controller, scenario.trajectory
-    shape, period = (len(trajectory.position), len(plant.drives)), trajectory.period
-    steps = round(period / plant.timestep)
-    if abs(steps * plant.timestep - period) > 1e-9 * period or steps < 1:
-        raise InputError(
-            f"must be a multiple of the plant's time step {plant.timestep:g} s; build the plant with it",
-            quantity="period [s]",
-            value=period,
-        )
-    if controller is not None and abs(controller.period - period) > 1e-12:
-        raise InputError(
-            f"differs from the controller's {controller.period:g} s",
-            quantity="trajectory period [s]",
-            value=period,
-        )
-    arrays = {
-        f"trajectory {name}": getattr(trajectory, name) for name in ("position", "velocity", "acceleration")
-    }
-    if scenario.external is not None:
-        arrays["external torque [N m]"] = scenario.external
-    for quantity, array in arrays.items():
-        if np.shape(array) != shape:
-            raise InputError(f"must have shape {shape}", quantity=quantity, value=np.shape(array))
-        if not np.isfinite(array).all():
-            raise InputError("must be finite", quantity=quantity)
-
-
-def _drives(scenario: Scenario) -> NDArray[np.void]:
-    """The plant's drives with their controllers, sampling and noise seeds."""
-    plant, controller = scenario.plant, scenario.controller
-    drives = plant.drives.copy()
-    if controller is not None:
-        for i, name in enumerate(controller.joints):
-            drives["control"][plant.robot.index(name)] = i
-        drives["average"] = controller.sampling == "average"
-    for drive, spec in zip(drives, plant.robot.drives, strict=True):
-        if drive["control"] < 0 and spec.servo is None:
-            raise InputError(
-                "is neither in the controller nor has it a servo; add one or the other",
-                file=plant.robot.file,
-                joint=spec.name,
-            )
-    drives["rng"] = np.random.SeedSequence(scenario.seed).generate_state(len(drives), np.uint64)
-    return drives
+    faults: Sequence[Fault] = ()
+    payload_changes: Sequence[PayloadChange] = ()
 
 
 def run(scenario: Scenario) -> Recording:
     """Runs one scenario; the same scenario gives the same bits on any number of threads.
 
     Raises:
-        InputError: Periods, shapes or joints of plant, controller and trajectory do not fit together.
+        InputError: Periods, shapes or joints of plant, controller and trajectory do not fit together, or an
+            event, a fault or a change of payload does not fit them.
     """
-    _check(scenario)
-    plant, controller, trajectory = scenario.plant, scenario.controller, scenario.trajectory
-    ticks, n = trajectory.position.shape
-    steps = round(trajectory.period / plant.timestep)
-    drives = _drives(scenario)
-    # A fresh native controller: scenarios that share one must not share its state.
-    core = _native.Core(controller.blocks.view(np.uint8)) if controller else None
-    external = scenario.external
-    if external is not None:
-        external = np.ascontiguousarray(external, float)
-    data = mujoco.MjData(plant.model)
-    events = _events(scenario)
-    _start(scenario, core, events, data)
-    mujoco.mj_forward(plant.model, data)
-    reference = np.stack(
-        [trajectory.position, trajectory.velocity, trajectory.acceleration, np.zeros((ticks, n))]
-    )
-    record = np.full((len(CHANNELS), ticks, n), np.nan)
-    status = np.zeros(ticks, np.int32)
-    outcome, tick = _native.run(
-        core,
-        drives.view(np.uint8),
-        events.view(np.uint8),
-        _mj_step(),
-        plant.model._address,
-        data._address,
-        data.qpos,
-        data.qvel,
-        data.qfrc_applied,
-        plant.timestep,
-        steps,
-        ticks,
-        np.ascontiguousarray(reference),
-        external,
-        record,
-        status,
-    )
-    time = trajectory.time
-    settings: dict[str, object] = {
-        "robot": plant.robot.name,
-        "period": trajectory.period,
-        "timestep": plant.timestep,
-        "seed": scenario.seed,
-        "label": scenario.label,
-    }
-    return Recording(
-        plant.robot.joints,
-        time,
-        trajectory.position,
-        **dict(zip(CHANNELS, record, strict=True)),
-        status=status,
-        diverged_at=float(time[tick]) if outcome else None,
-        settings=settings,
-    )
+    loop = Loop(scenario)
+    loop.advance()
+    return loop.recording()
 
 
 def run_many(
@@ -293,9 +149,21 @@ def simulate(
     *,
     payloads: Sequence[Payload] = (),
     events: Sequence[Event] = (),
+    faults: Sequence[Fault] = (),
+    payload_changes: Sequence[PayloadChange] = (),
     seed: int = 0,
 ) -> Recording:
     """Builds the plant and the controller and runs once: the short way for one scenario."""
     plant = build(robot, trajectory.period, payloads)
     controller = Controller.from_config(config, robot.drives) if config else None
-    return run(Scenario(plant, controller, trajectory, events, seed=seed))
+    return run(
+        Scenario(
+            plant,
+            controller,
+            trajectory,
+            events,
+            seed=seed,
+            faults=faults,
+            payload_changes=payload_changes,
+        )
+    )

@@ -17,7 +17,7 @@ from dashpot.logfiles import check_log_path, write_log
 from dashpot.motionfile import read_motion
 from dashpot.output import whole_folder
 from dashpot.payload import Payload
-from dashpot.plant import Plant, build
+from dashpot.plant import Plant, build, with_payload
 from dashpot.plots import save
 from dashpot.recording import Recording
 from dashpot.robot import MAX_ANGLE, Robot
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from dashpot.cli import Simulate
 
 from dashpot.commands import NATIVE_LOOP, quiet_engine
+from dashpot.commands.simulate_faults import marks, read_changes, read_faults
 from dashpot.commands.simulate_view import draw, show
 
 LOGGED = 1e-4  # [s], longest step of the engine for a log
@@ -52,6 +53,10 @@ def simulate(options: Simulate) -> int:
     path = _path(options, robot, config.period)
     _warn_of_range(plant, path, options)
     _warn_of_saturation(plant, path, payload)
+    faults, changes = read_faults(options.fault), read_changes(options.payload_at, payload)
+    for change in changes:
+        if change.payload is not None:
+            _warn_of_saturation(with_payload(plant, change.payload, config.period), path, change.payload)
     events = [Event(path.start, joint, "mode", "bypass") for joint in options.bypass]
     if options.release is not None:
         if not path.time[0] <= options.release <= path.time[-1]:  # also catches NaN
@@ -63,7 +68,18 @@ def simulate(options: Simulate) -> int:
         events.append(Event(options.release, "all", "position_loop", False))
     with whole_folder(options.out) as folder:
         external = tap(path, len(robot.drives), options.tap) if options.tap else None
-        recording = _run(Scenario(plant, controller, path, events, external, options.seed))
+        recording = _run(
+            Scenario(
+                plant,
+                controller,
+                path,
+                events,
+                external,
+                options.seed,
+                faults=faults,
+                payload_changes=changes,
+            )
+        )
         recording.settings |= {
             "controller": str(options.controller),
             "payload_kg": options.payload,
@@ -71,7 +87,8 @@ def simulate(options: Simulate) -> int:
             "tap_nm": options.tap,
         }
         recording.save(folder / "recording.npz")
-        save(draw(recording, controller, options), folder / "simulate")
+        marked = marks(robot, faults, changes)
+        save(draw(recording, controller, options, marked), folder / "simulate")
     if options.log is not None:
         log = from_recording(
             recording,
@@ -81,7 +98,7 @@ def simulate(options: Simulate) -> int:
             controlled=controller.joints,
         )
         write_log(log, options.log)  # last: it may be in the folder that has just been replaced
-    show(recording, robot, controller, plant, options)
+    show(recording, robot, controller, plant, options, marked)
     return 1 if recording.diverged_at is not None else 0
 
 

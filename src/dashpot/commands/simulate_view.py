@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from dashpot.commands.simulate_faults import Mark, draw_marks, legend_entries, listed
 from dashpot.controller import TORQUE_LIMITED, Controller
 from dashpot.plant import Plant
 from dashpot.plots import BLACK, BLUE, GREY, VERMILLION, Figure, new_figure
@@ -38,23 +40,33 @@ def title(recording: Recording, options: Simulate) -> str:
     return f"{title}payload {options.payload:g} kg at {f'({at})' if len(options.offset) > 1 else at} m"
 
 
-def show(recording: Recording, robot: Robot, controller: Controller, plant: Plant, options: Simulate) -> None:
-    """Prints the table per joint, the release if there was one, and how to find the picture."""
+def show(
+    recording: Recording,
+    robot: Robot,
+    controller: Controller,
+    plant: Plant,
+    options: Simulate,
+    found_marks: Sequence[Mark] = (),
+) -> None:
+    """Prints the table per joint, the release and the faults if there were any, and where the picture is."""
     console = Console()
     table = _table(escape(title(recording, options)))
     for name in ("joint", "control"):
         table.add_column(name, no_wrap=name != "joint")
     for name in ("error [deg]", "dev.", "torque [N m]", "of limit", "vibration [N m]"):
         table.add_column(escape(name), justify="right", no_wrap=True)
-    before = np.isfinite(recording.position).all(1)
+    before = np.isfinite(recording.link_position).all(1)
     if options.release is not None:
         before &= recording.time < options.release - 1e-9
     shown = before & (recording.time >= 0)
-    error = np.degrees((recording.reference - recording.position)[shown])
+    # What a faulty sensor says is no measure of what the arm did.
+    angle = recording.link_position if options.fault else recording.position
+    sensed = recording.torque if options.fault else recording.sample
+    error = np.degrees((recording.reference - angle)[shown])
     torque = np.abs(recording.in_effect[before])
     found = None
     if recording.diverged_at is None:
-        found = vibration(recording.sample[before], controller.period)
+        found = vibration(sensed[before], controller.period)
     oscillating = []
     for j, drive in enumerate(robot.drives):
         kind = "servo" if drive.name not in controller.joints else "VPC"
@@ -85,8 +97,9 @@ def show(recording: Recording, robot: Robot, controller: Controller, plant: Plan
         )
     console.print(table)
     when = "" if options.release is None else f", all before the release at {options.release:g} s"
+    of, which = ("mean error of the link", "true") if options.fault else ("mean error", "sensed")
     console.print(
-        f"mean error, its standard deviation, largest torque, RMS of sensed torque above {CORNER:g} Hz in "
+        f"{of}, its standard deviation, largest torque, RMS of {which} torque above {CORNER:g} Hz in "
         f"the last {WINDOW:g} s{when}",
         highlight=False,
         style="dim",
@@ -94,8 +107,14 @@ def show(recording: Recording, robot: Robot, controller: Controller, plant: Plan
     if options.release is not None:
         console.print()
         console.print(_release_table(recording, controller, options.release))
+    if found_marks:
+        console.print()
+        console.print(listed(found_marks))
     console.print()
-    console.print(plant.step_said, highlight=False, style="dim")
+    said, step = plant.step_said, recording.settings["timestep"]
+    if isinstance(step, float) and step != plant.timestep:
+        said = f"physics step {step * 1e6:.1f} us, as a payload on the way needs it"
+    console.print(said, highlight=False, style="dim")
     for line in oscillating:
         console.print(f"[yellow]{line}[/]", highlight=False)
     if recording.diverged_at is not None:
@@ -164,7 +183,9 @@ def _release_table(recording: Recording, controller: Controller, release: float)
     return table
 
 
-def draw(recording: Recording, controller: Controller, options: Simulate) -> Figure:
+def draw(
+    recording: Recording, controller: Controller, options: Simulate, found_marks: Sequence[Mark] = ()
+) -> Figure:
     """Position against reference and sensed torque of each controlled joint, up to four side by side."""
     shown = [recording.joints.index(name) for name in controller.joints]
     blocks = math.ceil(len(shown) / 4)
@@ -189,18 +210,25 @@ def draw(recording: Recording, controller: Controller, options: Simulate) -> Fig
             _show_at_least(axis, 1.0, np.concatenate(data))
             if options.release is not None:
                 axis.axvline(options.release, color=BLACK, ls=":", lw=1.0, label="release")
+            draw_marks(axis, found_marks, recording.joints[j], recording.time[-1], axis is above)
         below.set_xlabel("time [s]")
         below.tick_params(labelbottom=True)
         if column == 0:
             above.set_ylabel("position [deg]")
             below.set_ylabel("sensed torque [N m]")
-    lines = {line.get_label(): line for axis in (axes[0, 0], axes[1, 0]) for line in axis.get_lines()}
+    lines: dict[Any, Any] = {
+        line.get_label(): line
+        for axis in (axes[0, 0], axes[1, 0])
+        for line in axis.get_lines()
+        if not str(line.get_label()).startswith("_")
+    }
+    lines |= legend_entries(found_marks)
     legend = figure.legend(
         lines.values(),
         lines.keys(),
         title=title(recording, options),
         loc="outside upper center",
-        ncols=len(lines),
+        ncols=min(len(lines), 4 + (columns > 3)) if found_marks else len(lines),
         fontsize=9,
         title_fontsize=11,
     )

@@ -1,0 +1,186 @@
+"""Faults and changes of payload of ``dashpot simulate``: read, listed, marked in the picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from string import ascii_uppercase
+from typing import Any
+
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table
+
+from dashpot.errors import InputError
+from dashpot.faults import KINDS, Fault
+from dashpot.payload import Payload
+from dashpot.plots import GREEN, PURPLE
+from dashpot.robot import Robot
+from dashpot.simulate import PayloadChange
+
+TINT = 0.13  # opacity of the time a fault lasts
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One fault or change of payload as it is shown.
+
+    Attributes:
+        letter: In the list and in the picture.
+        what: Kind of fault, or "payload".
+        joint: Joint name, or "all".
+        start: [s].
+        end: [s]; infinite for what lasts.
+        size: The value with its unit, in words.
+        meaning: In words.
+    """
+
+    letter: str
+    what: str
+    joint: str
+    start: float
+    end: float
+    size: str
+    meaning: str
+
+
+def read_faults(texts: Sequence[str]) -> list[Fault]:
+    """Reads ``--fault``.
+
+    Raises:
+        InputError: See `Fault.from_text`.
+    """
+    return [Fault.from_text(text) for text in texts]
+
+
+def read_changes(texts: Sequence[str], like: Payload) -> list[PayloadChange]:
+    """Reads ``--payload-at``; the masses hang where ``like`` does.
+
+    Raises:
+        InputError: A text is not TIME=KG, or a mass is not valid.
+    """
+    changes = []
+    for text in texts:
+        time, _, mass = text.partition("=")
+        try:
+            at, kilograms = float(time), float(mass)
+        except ValueError:
+            raise InputError(
+                "must be TIME=KG, in s and kg, e.g. 2=3.5", quantity="--payload-at", value=text
+            ) from None
+        if not (math.isfinite(kilograms) and kilograms >= 0):
+            raise InputError("must be finite and not negative", quantity="--payload-at [kg]", value=kilograms)
+        load = Payload(kilograms, like.offset) if kilograms > 0 else None
+        changes.append(PayloadChange(at, load))
+    return changes
+
+
+def marks(robot: Robot, faults: Sequence[Fault], changes: Sequence[PayloadChange]) -> list[Mark]:
+    """Faults and changes in the order of time, each with a letter."""
+    found: list[tuple[Any, ...]] = [
+        (fault.kind, fault.joint, fault.start, fault.end, _size(fault, robot), KINDS[fault.kind].meaning)
+        for fault in faults
+    ]
+    for change in changes:
+        mass = change.payload.mass if change.payload else 0.0
+        meaning = "on the flange from then on" if mass else "the flange has let go"
+        found.append(("payload", "all", change.time, math.inf, f"{mass:g} kg", meaning))
+    found.sort(key=lambda mark: mark[2])
+    return [Mark(_letter(i), *mark) for i, mark in enumerate(found)]
+
+
+def _letter(i: int) -> str:
+    """A, B, ... Z, A1, B1, ..."""
+    round_, letter = divmod(i, len(ascii_uppercase))
+    return ascii_uppercase[letter] + (str(round_) if round_ else "")
+
+
+def _size(fault: Fault, robot: Robot) -> str:
+    kind = KINDS[fault.kind]
+    if not kind.quantity:
+        return ""
+    unit = "" if kind.unit == "-" else f" {kind.unit}"
+    if fault.value is None and fault.joint not in robot.joints and kind.default:
+        sizes = sorted({fault.size(drive) for drive in robot.drives})
+        return f"{sizes[0]:.4g}{unit}" if len(sizes) == 1 else f"{sizes[0]:.4g} to {sizes[-1]:.4g}{unit}"
+    drive = robot.drives[robot.index(fault.joint)] if fault.joint != "all" else robot.drives[0]
+    return f"{fault.size(drive):.4g}{unit}"
+
+
+def listed(found: Sequence[Mark]) -> Table:
+    """The marks as a table."""
+    table = Table(
+        title="What fails, and what the flange carries",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+        collapse_padding=True,
+    )
+    for name in ("", "what", "joint"):
+        table.add_column(name, no_wrap=True)
+    for name in ("from [s]", "to [s]", "size"):
+        table.add_column(escape(name), justify="right", no_wrap=True)
+    table.add_column("meaning", style="dim")
+    for mark in found:
+        joint = "" if mark.what in ("payload", "brownout") else escape(mark.joint)
+        end = "end" if math.isinf(mark.end) else f"{mark.end:g}"
+        table.add_row(mark.letter, mark.what, joint, f"{mark.start:g}", end, mark.size, mark.meaning)
+    return table
+
+
+def draw_marks(axis: Any, found: Sequence[Mark], joint: str, last: float, letters: bool) -> None:
+    """Tints the time of every fault of a joint, and draws a line where the payload changes.
+
+    Args:
+        axis: Matplotlib axes over time [s].
+        found: All marks.
+        joint: The joint shown.
+        last: End of the motion [s].
+        letters: Whether to write the letters above.
+    """
+    taken: list[float] = []
+    for mark in found:
+        if mark.joint not in ("all", joint):
+            continue
+        if mark.what == "payload":
+            axis.axvline(mark.start, color=GREEN, ls="-.", lw=1.0)
+        else:
+            axis.axvspan(mark.start, min(mark.end, last), color=PURPLE, alpha=TINT, lw=0)
+            axis.axvline(mark.start, color=PURPLE, lw=0.8)
+        if letters:
+            close = sum(abs(mark.start - other) < 0.04 * (last - axis.get_xlim()[0]) for other in taken)
+            taken.append(mark.start)
+            axis.annotate(
+                mark.letter,
+                (mark.start, 1.0),
+                xycoords=axis.get_xaxis_transform(),
+                xytext=(2 + 9 * close, -2),
+                textcoords="offset points",
+                va="top",
+                fontsize=8.5,
+                fontweight="bold",
+                color=GREEN if mark.what == "payload" else PURPLE,
+                bbox={"boxstyle": "square,pad=0.05", "fc": "white", "ec": "none", "alpha": 0.7},
+            )
+
+
+def legend_entries(found: Sequence[Mark]) -> dict[str, Any]:
+    """Labels and handles that say what the letters mean."""
+    entries: dict[str, Any] = {}
+    for mark in found:
+        words = [f"{mark.letter}: {mark.what.replace('_', ' ')}"]
+        if mark.joint != "all":
+            words.append(mark.joint)
+        if mark.size:
+            words.append(mark.size)
+        handle = (
+            Line2D([], [], color=GREEN, ls="-.", lw=1.0)
+            if mark.what == "payload"
+            else Patch(color=PURPLE, alpha=2 * TINT, lw=0)
+        )
+        entries[", ".join(words)] = handle
+    return entries

@@ -1,0 +1,253 @@
+"""The native closed loop of one scenario: what goes in, how far it has come, what it has recorded."""
+
+from __future__ import annotations
+
+import copy
+import ctypes
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+import dashpot._native as _native
+from dashpot.controller import MODES
+from dashpot.equilibrium import settle
+from dashpot.errors import DashpotError, InputError
+from dashpot.plant import Plant, with_payload, with_timestep
+from dashpot.recording import CHANNELS, Recording
+from dashpot.sampled import BLOCK_DTYPE
+from dashpot.script import native_faults, tick_of
+
+if TYPE_CHECKING:
+    from dashpot.simulate import Scenario
+
+EVENT_DTYPE = np.dtype([("tick", "i4"), ("joint", "i4"), ("kind", "i4"), ("value", "i4")])
+_KINDS = {"mode": 0, "position_loop": 1, "warm_start": 2}
+
+
+@cache
+def _mj_step() -> int:
+    """Address of ``mj_step`` in the library the mujoco package loaded."""
+    folder = Path(mujoco.__file__).parent
+    for path in sorted([*folder.glob("libmujoco*"), *folder.glob("mujoco.dll")]):
+        address = ctypes.cast(ctypes.CDLL(str(path)).mj_step, ctypes.c_void_p).value
+        if address:
+            return address
+    raise DashpotError(f"{folder}: no MuJoCo library with mj_step; reinstall mujoco")
+
+
+def _events(scenario: Scenario) -> NDArray[np.void]:
+    controller, trajectory = scenario.controller, scenario.trajectory
+    rows: list[tuple[int, int, int, int]] = []
+    for event in scenario.events:
+        if event.kind not in _KINDS:
+            raise InputError(f"must be one of {', '.join(_KINDS)}", quantity="event kind", value=event.kind)
+        if controller is None:
+            raise InputError("events need a controller", quantity=event.kind)
+        if event.kind == "mode" and event.value not in MODES:
+            raise InputError(
+                f"must be one of {', '.join(MODES)}", joint=event.joint, quantity="mode", value=event.value
+            )
+        tick = tick_of(event.time, trajectory, "event time", event.joint)
+        value = MODES.index(str(event.value)) if event.kind == "mode" else int(bool(event.value))
+        names = controller.joints if event.joint == "all" else (event.joint,)
+        rows += [(tick, controller.index(name), _KINDS[event.kind], value) for name in names]
+    rows.sort(key=lambda row: row[0])
+    return np.array(rows, EVENT_DTYPE)
+
+
+def _start(scenario: Scenario, plant: Plant, core: Any, events: NDArray[np.void], data: Any) -> None:
+    """Puts the arm at rest in equilibrium with the first reference; without one, at it with slack springs."""
+    controller, reference = scenario.controller, scenario.trajectory.position[0]
+    joints = controller.joints if controller else ()
+    blocks = controller.blocks if controller else np.zeros(0, BLOCK_DTYPE)
+    modes = {joint: "active" for joint in joints}
+    for event in events:
+        if event["tick"] == 0 and event["kind"] == _KINDS["mode"]:
+            modes[joints[event["joint"]]] = MODES[event["value"]]
+    found = None
+    if "off" not in modes.values():
+        found = settle(plant, joints, blocks, reference, [j for j, mode in modes.items() if mode == "bypass"])
+    if found is None:
+        data.qpos[plant.rotor_qpos] = reference
+        return
+    data.qpos[plant.rotor_qpos] = found.rotor
+    data.qpos[plant.drives["spring_qpos"]] = found.deflection
+    for i, joint in enumerate(joints):
+        core.preset(i, found.states[i], found.torque[plant.robot.index(joint)])
+
+
+def _check(scenario: Scenario) -> None:
+    """Checks that plant, controller, trajectory and external torque fit together."""
+    plant, controller, trajectory = scenario.plant, scenario.controller, scenario.trajectory
+    shape, period = (len(trajectory.position), len(plant.drives)), trajectory.period
+    steps = round(period / plant.timestep)
+    if abs(steps * plant.timestep - period) > 1e-9 * period or steps < 1:
+        raise InputError(
+            f"must be a multiple of the plant's time step {plant.timestep:g} s; build the plant with it",
+            quantity="period [s]",
+            value=period,
+        )
+    if controller is not None and abs(controller.period - period) > 1e-12:
+        raise InputError(
+            f"differs from the controller's {controller.period:g} s",
+            quantity="trajectory period [s]",
+            value=period,
+        )
+    arrays = {
+        f"trajectory {name}": getattr(trajectory, name) for name in ("position", "velocity", "acceleration")
+    }
+    if scenario.external is not None:
+        arrays["external torque [N m]"] = scenario.external
+    for quantity, array in arrays.items():
+        if np.shape(array) != shape:
+            raise InputError(f"must have shape {shape}", quantity=quantity, value=np.shape(array))
+        if not np.isfinite(array).all():
+            raise InputError("must be finite", quantity=quantity)
+
+
+def _drives(scenario: Scenario, plant: Plant) -> NDArray[np.void]:
+    """The plant's drives with their controllers, sampling and noise seeds."""
+    controller = scenario.controller
+    drives = plant.drives.copy()
+    if controller is not None:
+        for i, name in enumerate(controller.joints):
+            drives["control"][plant.robot.index(name)] = i
+        drives["average"] = controller.sampling == "average"
+    for drive, spec in zip(drives, plant.robot.drives, strict=True):
+        if drive["control"] < 0 and spec.servo is None:
+            raise InputError(
+                "is neither in the controller nor has it a servo; add one or the other",
+                file=plant.robot.file,
+                joint=spec.name,
+            )
+    drives["rng"] = np.random.SeedSequence(scenario.seed).generate_state(len(drives), np.uint64)
+    return drives
+
+
+class Loop:
+    """One run of a scenario, which may be cut into pieces: `advance` goes on where it stopped.
+
+    Attributes:
+        ticks: Of the whole run.
+        tick: The next one.
+        faults: The native faults, or None.
+        diverged: Tick at which the simulation blew up, or None.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        _check(scenario)
+        self.scenario, trajectory = scenario, scenario.trajectory
+        self.ticks, n = trajectory.position.shape
+        self.tick = 0
+        self.diverged: int | None = None
+        self._models, self._plant = self._loads()
+        plant, controller = self._plant, scenario.controller
+        # A fresh native controller: scenarios that share one must not share its state.
+        self._core = _native.Core(controller.blocks.view(np.uint8)) if controller else None
+        self._drives, self._events = _drives(scenario, plant), _events(scenario)
+        self.faults: _native.Faults | None = None
+        if scenario.faults:
+            controlled = controller.joints if controller else ()
+            self.faults = native_faults(scenario.faults, plant, controlled, trajectory, scenario.seed)
+        self._model, self._data = plant.model, mujoco.MjData(plant.model)
+        _start(scenario, plant, self._core, self._events, self._data)
+        mujoco.mj_forward(self._model, self._data)
+        self._reference = np.stack(
+            [trajectory.position, trajectory.velocity, trajectory.acceleration, np.zeros((self.ticks, n))]
+        )
+        external = scenario.external
+        self._external = None if external is None else np.ascontiguousarray(external, float)
+        self._record = np.full((len(CHANNELS), self.ticks, n), np.nan)
+        self._status = np.zeros(self.ticks, np.int32)
+
+    def _loads(self) -> tuple[list[tuple[int, Any]], Plant]:
+        """Ticks and models of the changes of payload, and the plant to start with, all at one time step."""
+        scenario, plant = self.scenario, self.scenario.plant
+        changes = []
+        for change in scenario.payload_changes:
+            tick = tick_of(change.time, scenario.trajectory, "payload change")
+            changes.append((tick, with_payload(plant, change.payload, scenario.trajectory.period)))
+        changes.sort(key=lambda change: change[0])
+        step = min([plant.timestep, *(loaded.timestep for _, loaded in changes)])
+        if step < plant.timestep:
+            plant = with_timestep(plant, step)
+        models = []
+        for tick, loaded in changes:
+            model = loaded.model
+            if model.opt.timestep != step:
+                model = copy.copy(model)
+                model.opt.timestep = step
+            models.append((tick, model))
+        return models, plant
+
+    def _carry(self, model: Any) -> None:
+        """Goes on with another model of the same degrees of freedom, from the state as it is."""
+        data = mujoco.MjData(model)
+        for name in ("qpos", "qvel", "qacc_warmstart"):
+            getattr(data, name)[:] = getattr(self._data, name)
+        data.time = self._data.time
+        mujoco.mj_forward(model, data)
+        self._model, self._data = model, data
+
+    def advance(self, until: int | None = None) -> None:
+        """Runs up to a tick; None: to the end. Payloads change on the way; a divergence ends it for good."""
+        until = self.ticks if until is None else min(until, self.ticks)
+        while self.tick < until and self.diverged is None:
+            while self._models and self._models[0][0] <= self.tick:
+                self._carry(self._models.pop(0)[1])
+            self._advance(min(until, self._models[0][0]) if self._models else until)
+
+    def _advance(self, until: int) -> None:
+        plant, data = self._plant, self._data
+        outcome, tick = _native.run(
+            self._core,
+            self._drives.view(np.uint8),
+            self._events.view(np.uint8),
+            _mj_step(),
+            self._model._address,
+            data._address,
+            data.qpos,
+            data.qvel,
+            data.qfrc_applied,
+            plant.timestep,
+            round(self.scenario.trajectory.period / plant.timestep),
+            self.ticks,
+            self._reference,
+            self._external,
+            self._record,
+            self._status,
+            self.faults,
+            self.tick,
+            until,
+        )
+        self.tick = until
+        if outcome:
+            self.diverged = tick
+
+    def recording(self) -> Recording:
+        """What happened so far; rows that have not been run are NaN."""
+        scenario, plant, time = self.scenario, self._plant, self.scenario.trajectory.time
+        settings: dict[str, object] = {
+            "robot": plant.robot.name,
+            "period": scenario.trajectory.period,
+            "timestep": plant.timestep,
+            "seed": scenario.seed,
+            "label": scenario.label,
+        }
+        if scenario.faults:
+            settings["faults"] = [fault.table() for fault in scenario.faults]
+        if scenario.payload_changes:
+            settings["payload_changes"] = [change.table() for change in scenario.payload_changes]
+        return Recording(
+            plant.robot.joints,
+            time,
+            scenario.trajectory.position,
+            **dict(zip(CHANNELS, self._record, strict=True)),
+            status=self._status,
+            diverged_at=None if self.diverged is None else float(time[self.diverged]),
+            settings=settings,
+        )

@@ -65,7 +65,7 @@ int dp_supervisor_init(dp_supervisor *s, const dp_rules *rules, const dp_watch *
         const double number[] = {w->inertia, w->viscous, w->inertia_error, w->viscous_error, w->torque_error,
                                  w->torque_lag, w->torque_mid, w->allowance, w->noise, w->torque_range, w->torque_rate,
                                  w->torque_jump, w->speed_limit, w->jump, w->mismatch, w->bias_limit, w->moving,
-                                 w->floor, w->damping};
+                                 w->floor, w->damping, w->hold};
         for (unsigned i = 0; i < sizeof number / sizeof *number; i++)
             if (!(number[i] >= 0.0 && number[i] <= 1e12))
                 return -1;
@@ -326,7 +326,7 @@ static void watch_joint(dp_supervisor *s, const dp_controller *c, int j, const d
     check_encoder(s, j, q, v, encoder_age);
 
     const int fresh = o->torque_usable && o->encoder_usable && torque_age == 0 && encoder_age == 0;
-    if (fresh && o->fresh)
+    if (fresh && o->fresh && s->state != DP_SAFE) /* the mechanical brake is in no rotor balance */
         fuse(s, j, q, v, before_torque, u);
     o->fresh = fresh;
     if (o->encoder_usable) {
@@ -344,7 +344,8 @@ static void watch_joint(dp_supervisor *s, const dp_controller *c, int j, const d
     }
     o->history[s->head] = o->speed;
 
-    follow(&o->drive, u, first_encoder && first_torque ? 1.0 : r->load_gain);
+    follow(&o->drive, u, s->tick == 0 ? 1.0 : r->load_gain);
+    o->drives[s->head] = o->drive;
     if (o->torque_usable) {
         if (first_torque) {
             o->load = o->torque;
@@ -431,7 +432,11 @@ static void enter(dp_supervisor *s, dp_controller *c, int state)
             for (int i = 0; i < c->block[j].nx; i++) /* and goes on carrying the load */
                 x->x[i] += w->load[i] * (o->load - o->bias);
         } else if (state == DP_ENCODER_BRAKE) {
-            o->held = s->rules.keep_load ? o->drive : 0.0;
+            const int back = s->rules.window + s->rules.debounce; /* what the sensor did since is in doubt */
+            const int then = (s->head + DP_HISTORY - (back < DP_HISTORY ? back : DP_HISTORY - 1)) % DP_HISTORY;
+            o->held = s->rules.keep_load ? o->drives[then] : 0.0;
+            o->upward = o->speed > 0.0;
+            o->anchored = 0;
         } else {
             o->held = x->command;
         }
@@ -439,6 +444,17 @@ static void enter(dp_supervisor *s, dp_controller *c, int state)
     s->events &= ~DP_EV_LAW; /* seen to; if the next state oscillates too, that is news */
     s->state = state;
     s->apply_brake = state == DP_SAFE;
+}
+
+/* Torque of ENCODER_BRAKE: damping until the joint stands or turns back, from there on a spring as well. Both
+ * are passive, and so is a constant load. */
+static double brake(dp_joint_watch *o, const dp_watch *w, double still, double position, double velocity)
+{
+    if (!o->anchored && (size(o->speed) < still || (o->speed > 0.0) != o->upward)) {
+        o->anchored = 1;
+        o->anchor = position;
+    }
+    return o->held - w->damping * velocity - (o->anchored ? w->hold * (position - o->anchor) : 0.0);
 }
 
 int dp_supervise(dp_supervisor *s, dp_controller *c, const double *in, const int *torque_age,
@@ -467,10 +483,13 @@ int dp_supervise(dp_supervisor *s, dp_controller *c, const double *in, const int
     if (s->state <= DP_TORQUE_BRAKE)
         return dp_step(c, clean, out);
     for (int j = 0; j < n; j++) {
-        const dp_joint_watch *o = &s->joint[j];
+        dp_joint_watch *o = &s->joint[j];
         const double command = c->state[j].command;
-        const double faded = clamp(command, s->rules.release * size(o->held));
-        u[j] = s->state == DP_SAFE ? command - faded : o->held - s->watch[j].damping * clean[DP_IN_VELOCITY * n + j];
+        if (s->state == DP_SAFE)
+            u[j] = command - clamp(command, s->rules.release * size(o->held));
+        else
+            u[j] = brake(o, &s->watch[j], s->rules.still_speed, clean[DP_IN_POSITION * n + j],
+                         clean[DP_IN_VELOCITY * n + j]);
     }
     return dp_issue(c, u, out);
 }

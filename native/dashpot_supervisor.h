@@ -7,7 +7,7 @@
  *
  *   TRACK          position loop and law
  *   TORQUE_BRAKE   no encoder is read: the law alone, warm-started from the last trusted velocity
- *   ENCODER_BRAKE  no torque sensor is read: u = load - damping * velocity
+ *   ENCODER_BRAKE  no torque sensor is read: u = load - damping * velocity, and a spring once it stands
  *   SAFE           torque faded to zero, mechanical brake closed (apply_brake)
  *
  * Where a number below is "per tick" or "a gain", it has the period in it. A gain g is that of the
@@ -66,6 +66,7 @@ typedef struct {
     double moving;                /* speed from which friction has its full size [rad/s] */
     double floor;                 /* smallest torque amplitude that counts as oscillation [N m] */
     double damping;               /* of ENCODER_BRAKE [N m s/rad] */
+    double hold;                  /* its stiffness once a joint has come to rest [N m/rad] */
     double load[DP_NX];           /* block state per N m of a constant load */
     int stuck;                    /* identical torque samples that are too many; 0: not checked */
     int reserved;
@@ -108,12 +109,14 @@ typedef struct {
     double peak, peaks[2], first_peak;   /* of the half-cycle so far, of the last two, of the first counted */
     double fed[2], heat[2];              /* motor's work and viscous heat of the last two half-cycles [J/period] */
     double held;                         /* torque kept by ENCODER_BRAKE */
-    double rest;                         /* where it came to rest [rad] */
+    double rest;                         /* where it was when the arm came to rest [rad] */
+    double anchor;                       /* where ENCODER_BRAKE holds it [rad] */
     double history[DP_HISTORY];          /* of speed */
+    double drives[DP_HISTORY];           /* of drive */
     int encoder_lost, torque_lost, encoder_bad, torque_bad, encoder_gap, torque_gap;
     int encoder_seen, torque_seen, fresh, encoder_usable, torque_usable;
     int same_position, same_torque, residual_ticks, mismatch_ticks, reference_bad, law_bad;
-    int up, cycles, mode, loop, back, reserved;
+    int up, cycles, mode, loop, back, anchored, upward;
 } dp_joint_watch;
 
 typedef struct {

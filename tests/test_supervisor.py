@@ -63,7 +63,7 @@ def guarded(n=1, latency=0, options=None, law=LAW, drive=DRIVE, **kwargs):
     return Supervisor(controller, drives, options or SupervisorSettings(), **kwargs)
 
 
-# --- the decision --------------------------------------------------------------------------------------------
+# --- the decision -------------------------------------------------------------------------------------
 
 
 def every_set_of_events():
@@ -136,7 +136,7 @@ def feed(supervisor, tick, joint, signal):
 
 
 def test_every_sequence_of_faults_ends_where_the_decision_says():
-    """All sequences of up to three faults on two joints, stops in between: order, limits, reasons, no way back."""
+    """All sequences of three faults and stops on two joints: order, limits, reasons, no way back."""
     kinds = [(j, name) for j in (0, 1) for name in SIGNALS if name != "good"] + [(-1, "stop")]
     out = np.zeros(2)
     options = SupervisorSettings(stop_time=0.03, still_time=0.2)
@@ -168,7 +168,7 @@ def test_every_sequence_of_faults_ends_where_the_decision_says():
                 expected = next_state(expected, *events) if step else expected
             assert state == expected
         if state != "track":
-            for _ in range(400):  # signals come back: trust does not, and a brake that nobody sees ends
+            for _ in range(150):  # signals come back: trust does not, and a brake that nobody sees ends
                 for j in (0, 1):
                     feed(supervisor, tick, j, "good")
                 supervisor.step(out)
@@ -238,7 +238,7 @@ def test_no_input_gives_a_torque_that_is_not_finite_or_beyond_its_limits(ticks, 
         last, state = out.copy(), STATES.index(supervisor.state)
 
 
-# --- the law goes on carrying the load -----------------------------------------------------------------------
+# --- the law goes on carrying the load ----------------------------------------------------------------
 
 
 @given(
@@ -286,7 +286,7 @@ class Rig:
             np.zeros(len(self.index)),
         )
         self.encoder = self.data.qpos[plant.rotor_qpos].copy()
-        self.scale = np.ones(n)
+        self.push = 0.0  # on the links [N m]
 
     def sense(self):
         """Torque, position, velocity of all joints, as the native runner samples them."""
@@ -303,7 +303,7 @@ class Rig:
 
     def go(self, ticks, fault=None):
         """Runs; fault(rig, torque, position, velocity) may change the samples of the controlled joints."""
-        d, data, plant, inputs = self.d, self.data, self.plant, self.c.inputs
+        d, plant, inputs = self.d, self.plant, self.c.inputs
         rows = []
         for _ in range(ticks):
             tau, q, w = (x[self.index] for x in self.sense())
@@ -334,7 +334,8 @@ class Rig:
         brake = 0.0
         if self.supervisor.apply_brake:  # a mechanical brake: friction of three times the torque limit
             brake = np.clip(200 * w, -3 * d["torque_limit"], 3 * d["torque_limit"])
-        data.qfrc_applied[d["rotor_dof"]] = self.scale * torque - self.friction - brake
+        data.qfrc_applied[d["rotor_dof"]] = torque - self.friction - brake + self.push
+        data.qfrc_applied[d["spring_dof"]] = self.push
         mujoco.mj_step(plant.model, data)
         e, de, w = data.qpos[d["spring_qpos"]], data.qvel[d["spring_dof"]], data.qvel[d["rotor_dof"]]
         tau = -(d["stiffness"] * e + d["damping"] * de)
@@ -350,6 +351,8 @@ class Rig:
 
 def arm(name, controller=None, *, payload=0.0, seed=0, duration=6.0, quiet=False, options=None, still=False):
     robot = Robot.load(name)
+    if quiet:
+        robot = robot.with_drives({joint: {"torque_noise": 0.0} for joint in robot.joints})
     config = load_controller(controller or name)
     path = multisine(robot.home, duration, config.period, seed, lead_in=0.2)
     if still:
@@ -361,9 +364,7 @@ def arm(name, controller=None, *, payload=0.0, seed=0, duration=6.0, quiet=False
 def test_the_rig_is_the_simulator():
     rig = arm("k807", "k807-wrist", payload=2.0, quiet=True)
     robot = rig.plant.robot
-    for drive in rig.plant.drives:
-        drive["sensor_noise"] = 0.0
-    q, w, u, _ = rig.go(200)
+    q, _, u, _ = rig.go(200)
     expected = run(Scenario(rig.plant, rig.c, rig.reference.until(rig.reference.start + 1.0)))
     assert robot.joints == expected.joints
     np.testing.assert_allclose(q, expected.position, atol=1e-9)
@@ -371,7 +372,7 @@ def test_the_rig_is_the_simulator():
     assert rig.supervisor.state == "track"
 
 
-# --- no false alarms -----------------------------------------------------------------------------------------
+# --- no false alarms ----------------------------------------------------------------------------------
 
 ARMS = (("k807", "k807-wrist"), ("fr3", "fr3"), ("iiwa14", "iiwa14"))
 
@@ -389,19 +390,19 @@ def test_tracking_raises_no_alarm(name, controller, payload):
         assert worst < 0.8  # the rotor balance, as a part of its limit
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_stop_on_request_comes_to_rest_and_stays(seed):
-    rig = arm("k807", "k807-wrist", payload=1.5 * seed, seed=seed)
+    rig = arm("k807", "k807-wrist", payload=3.0 * seed, seed=seed)
     rig.go(300)
     rig.supervisor.stop()
-    _, w, u, _ = rig.go(600)
+    _, w, _, _ = rig.go(350)
     assert [d.reason for d in rig.supervisor.log] == ["operator"]
     assert rig.supervisor.state == "torque_brake"
     assert rig.supervisor.stopped
     assert np.abs(w[-100:, rig.index]).max() < 0.02
 
 
-# --- faults ------------------------------------------------------------------------------------------------
+# --- faults -------------------------------------------------------------------------------------------
 
 
 def freeze(at, joint, *, speed_too):
@@ -475,16 +476,12 @@ def test_both_signals_lost_fade_the_torque_and_close_the_brake():
     def lost(rig, tau, q, w):
         tau[0], q[2] = math.nan, math.nan
 
-    before = rig.out.copy()
     _, w, u, _ = rig.go(100, lost)
     assert rig.supervisor.state == "safe"
-    held = u[3]  # the first tick of SAFE
-    steps = np.abs(np.diff(u[2:], axis=0))
-    assert (steps <= np.abs(u[2]) * rig.c.period / 0.1 + 1e-9).all()
-    assert (u[-1] == 0).all()
-    assert np.isfinite(before).all()
-    assert np.isfinite(held).all()
-    assert np.abs(w[-1]).max() < 0.1
+    held = u[1]  # the last torque before SAFE
+    assert (np.abs(np.diff(u[1:], axis=0)) <= np.abs(held) * rig.c.period / 0.1 + 1e-9).all()
+    assert (u[23:] == 0).all()  # after 0.1 s
+    assert np.abs(w[-1, rig.index]).max() < 0.1
 
 
 def test_the_change_to_the_brake_is_no_larger_than_what_the_law_demands(tmp_path):
@@ -492,7 +489,7 @@ def test_the_change_to_the_brake_is_no_larger_than_what_the_law_demands(tmp_path
     for load in (0.0, 3.0, 10.0):
         robot = one_joint(
             tmp_path,
-            0.4,
+            1.0,
             gravity=9.81,
             mass=2.0,
             lever=load / (2 * 9.81),
@@ -530,12 +527,13 @@ def test_in_motion_the_bump_is_the_bite_of_the_brake():
 def test_the_latched_bias_is_the_sensors_and_not_the_load():
     """Moving both ways under gravity with a biased sensor: the estimate is the bias, whatever hangs there."""
     for seed, bias in ((0, 0.25), (1, -0.25)):
-        rig = arm("k807", "k807-wrist", payload=2.0, seed=seed, duration=12.0)
+        options = SupervisorSettings(bias_time=1.0)
+        rig = arm("k807", "k807-wrist", payload=2.0, seed=seed, duration=12.0, options=options)
 
         def biased(rig, tau, q, w, bias=bias):
             tau += bias
 
-        rig.go(1800, biased)
+        rig.go(900, biased)
         rig.supervisor.stop()
         rig.go(2, biased)
         assert rig.supervisor.state == "torque_brake"
@@ -544,7 +542,7 @@ def test_the_latched_bias_is_the_sensors_and_not_the_load():
         np.testing.assert_allclose(found, bias, atol=0.15)
 
 
-# --- oscillation -------------------------------------------------------------------------------------------
+# --- oscillation --------------------------------------------------------------------------------------
 
 
 def test_static_feedback_beyond_its_limit_is_found_and_damped(tmp_path):
@@ -557,8 +555,10 @@ def test_static_feedback_beyond_its_limit_is_found_and_damped(tmp_path):
     c = Controller(c.blocks, c.joints, c.period, c.sampling)
     rig = Rig(robot, c, hold([0.0], 4.0, 1e-3))
     rig.go(50)
-    rig.data.qvel[rig.d["rotor_dof"]] = 0.5
-    _, w, u, tau = rig.go(4000)
+    rig.push = 10.0
+    rig.go(100)
+    rig.push = 0.0
+    _, w, _, _ = rig.go(2500)
     assert rig.supervisor.log[0].reason == "oscillation"
     assert rig.supervisor.log[0].after == "encoder_brake"
     assert np.abs(w[-200:]).max() < 0.02
@@ -576,7 +576,7 @@ def test_a_shaken_arm_is_not_an_oscillating_one(tmp_path):
     assert supervisor.state == "track", supervisor.log
 
 
-# --- settings and deployment -------------------------------------------------------------------------------
+# --- settings and deployment --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

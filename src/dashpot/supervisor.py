@@ -71,6 +71,9 @@ REASONS = (
 """In the order of ``DP_WHY_*`` in native/dashpot_supervisor.h."""
 
 
+HOLD_TIME = 0.1  # [s], damping over stiffness of the encoder brake once a joint stands; assumed
+
+
 @dataclass(frozen=True)
 class Decision:
     """One entry of the log.
@@ -132,7 +135,8 @@ class SupervisorSettings:
         still_time: For so long [s].
         drift: Distance from where the arm came to rest that closes the mechanical brake [rad].
         release_time: Over which the last fallback takes the torque away, the mechanical brake closing [s].
-        keep_load: Whether the encoder brake goes on holding the load of the last tenth of a second.
+        keep_load: Whether the encoder brake goes on holding the motor torque there was before the fault,
+            the mean of a tenth of a second.
     """
 
     debounce: int = 3
@@ -173,7 +177,18 @@ class SupervisorSettings:
 
 _WATCH: tuple[str, ...] = ("inertia", "viscous", "inertia_error", "viscous_error", "torque_error")
 _WATCH += ("torque_mid", "torque_lag", "allowance", "noise", "torque_range", "torque_rate", "torque_jump")
-_WATCH += ("lower", "upper", "speed_limit", "jump", "mismatch", "bias_limit", "moving", "floor", "damping")
+_WATCH += (
+    "lower",
+    "upper",
+    "speed_limit",
+    "jump",
+    "mismatch",
+    "bias_limit",
+    "moving",
+    "floor",
+    "damping",
+    "hold",
+)
 WATCH_DTYPE = np.dtype(
     [*((name, "f8") for name in _WATCH), ("load", "f8", (NX,)), ("stuck", "i4"), ("reserved", "i4")],
     align=True,
@@ -287,6 +302,7 @@ def watch_record(
     record["moving"] = max(0.02, 4 * resolution / period)
     record["floor"] = max(s.oscillation_floor * drive.torque_limit, 8 * noise)
     record["damping"] = min(0.25 * m / period / (1 + int(block["latency"])), math.sqrt(drive.stiffness * m))
+    record["hold"] = record["damping"] / HOLD_TIME
     record["load"] = load_state(block)
     if noise > 0 and drive.torque_noise > 0:
         # Chance that a sample falls into the same step of the sensor as the one before, at most.

@@ -1,17 +1,13 @@
-"""The supervisor over recorded motions, and the picture of its states: ``python -m dashpot.studies.supervision``."""
+"""The supervisor over recorded motions."""
 
 from __future__ import annotations
-
-import itertools
-import sys
-from pathlib import Path
 
 import numpy as np
 
 from dashpot.controller import Controller, ControllerConfig
 from dashpot.recording import Recording
 from dashpot.robot import Robot
-from dashpot.supervisor import EVENTS, STATES, Supervisor, SupervisorSettings, next_state
+from dashpot.supervisor import Supervisor, SupervisorSettings
 from dashpot.trajectory import Trajectory
 
 
@@ -23,7 +19,7 @@ def replay(
     settings: SupervisorSettings | None = None,
     controller: Controller | None = None,
 ) -> tuple[Supervisor, float]:
-    """Shows a recorded run to a supervisor, up to its first decision; until then it would have been the same run.
+    """Shows a recorded run to a supervisor up to its first decision, before which it changes nothing.
 
     Args:
         recording: Of the controller alone, without events.

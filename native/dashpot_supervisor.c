@@ -2,6 +2,7 @@
 
 static const double DECAY = 0.9; /* a half-cycle smaller than this part of the one before last has decayed */
 static const double FED = 0.5;   /* of the viscous heat: work of the motor that keeps an oscillation up */
+static const double SLOW = 0.3;  /* part of its speed at which the encoder brake begins to hold a joint */
 static const double KNOWN = 0.5; /* weight from which a direction's friction is known well enough for the bias */
 
 static int finite(double x) { return x - x == 0.0; }
@@ -435,7 +436,7 @@ static void enter(dp_supervisor *s, dp_controller *c, int state)
             const int back = s->rules.window + s->rules.debounce; /* what the sensor did since is in doubt */
             const int then = (s->head + DP_HISTORY - (back < DP_HISTORY ? back : DP_HISTORY - 1)) % DP_HISTORY;
             o->held = s->rules.keep_load ? o->drives[then] : 0.0;
-            o->upward = o->speed > 0.0;
+            o->entry = o->speed;
             o->anchored = 0;
         } else {
             o->held = x->command;
@@ -446,11 +447,11 @@ static void enter(dp_supervisor *s, dp_controller *c, int state)
     s->apply_brake = state == DP_SAFE;
 }
 
-/* Torque of ENCODER_BRAKE: damping until the joint stands or turns back, from there on a spring as well. Both
- * are passive, and so is a constant load. */
+/* Torque of ENCODER_BRAKE: damping until most of the speed is gone, from there on a spring as well. Both are
+ * passive, and so is a constant load. */
 static double brake(dp_joint_watch *o, const dp_watch *w, double still, double position, double velocity)
 {
-    if (!o->anchored && (size(o->speed) < still || (o->speed > 0.0) != o->upward)) {
+    if (!o->anchored && (size(o->speed) < still || o->speed * o->entry <= SLOW * o->entry * o->entry)) {
         o->anchored = 1;
         o->anchor = position;
     }

@@ -110,13 +110,13 @@ typedef struct {
     double fed[2], heat[2];              /* motor's work and viscous heat of the last two half-cycles [J/period] */
     double held;                         /* torque kept by ENCODER_BRAKE */
     double rest;                         /* where it was when the arm came to rest [rad] */
-    double anchor;                       /* where ENCODER_BRAKE holds it [rad] */
+    double entry, anchor;                /* speed when ENCODER_BRAKE began; where it holds the joint */
     double history[DP_HISTORY];          /* of speed */
     double drives[DP_HISTORY];           /* of drive */
     int encoder_lost, torque_lost, encoder_bad, torque_bad, encoder_gap, torque_gap;
     int encoder_seen, torque_seen, fresh, encoder_usable, torque_usable;
     int same_position, same_torque, residual_ticks, mismatch_ticks, reference_bad, law_bad;
-    int up, cycles, mode, loop, back, anchored, upward;
+    int up, cycles, mode, loop, back, anchored, reserved;
 } dp_joint_watch;
 
 typedef struct {

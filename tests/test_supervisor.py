@@ -327,7 +327,10 @@ class Rig:
     def physics(self, dt, k, s):
         d, data, plant = self.d, self.data, self.plant
         q, w = data.qpos[d["rotor_qpos"]], data.qvel[d["rotor_dof"]]
-        ref, rate = self.reference.position[k], self.reference.velocity[k]
+        moving = self.supervisor.state == "track"
+        if moving:  # the other joints' own servos stop with the arm
+            self.stop = self.reference.position[k]
+        ref, rate = self.stop, self.reference.velocity[k] * moving
         torque = d["servo_kp"] * (ref + s * dt * rate - q) + d["servo_kd"] * (rate - w)
         torque[self.index] = self.motor[self.index]
         torque = np.clip(torque, -d["torque_limit"], d["torque_limit"])

@@ -219,7 +219,7 @@ static void blame(dp_supervisor *s, int j, double threshold)
 {
     dp_joint_watch *o = &s->joint[j];
     const int still = o->same_position;
-    if (still < s->rules.debounce) {
+    if (still < (s->rules.debounce > 1 ? s->rules.debounce - 1 : 1)) { /* the tick it froze at was the first */
         lose_torque(s, j, DP_WHY_TORQUE_RESIDUAL, o->residual, threshold);
         return;
     }

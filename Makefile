@@ -72,4 +72,5 @@ figures: demo
 	$(BIN)/dashpot simulate k807 k807-wrist --payload 3 --offset 0.15 --motion out/excite/motion.csv --log out/identify.csv
 	$(BIN)/dashpot identify out/identify.csv --robot k807 --sampling average --joint joint6
 	cp out/identify/joint6.png docs/images/identify.png
+	$(BIN)/python -m dashpot.studies.supervision docs/images/supervisor.png
 .PHONY: figures

@@ -8,6 +8,7 @@
 #include "dashpot_faults.h"
 #include "dashpot_runner.h"
 #include "dashpot_stops.h"
+#include "dashpot_supervisor.h"
 
 namespace nb = nanobind;
 
@@ -132,6 +133,73 @@ void stops(Bytes blocks, Square slip, Square stick, Vector start, Vector sample,
         throw std::invalid_argument("a number or a block is out of range");
 }
 
+// --- supervisor -------------------------------------------------------------------------------------------
+// The C supervisor with the ages it reads; the core it steers is kept alive by its Python object.
+struct Guard {
+    dp_supervisor s{};
+    Core *core = nullptr;
+    int32_t torque_age[DP_MAX_JOINTS] = {}, encoder_age[DP_MAX_JOINTS] = {};
+};
+
+void bind_supervisor(nb::module_ &m) {
+    m.attr("WATCH_SIZE") = sizeof(dp_watch);
+    m.attr("RULES_SIZE") = sizeof(dp_rules);
+    m.attr("REASONS") = static_cast<int>(DP_NWHY);
+    m.attr("LOG") = static_cast<int>(DP_LOG);
+    m.attr("HISTORY") = static_cast<int>(DP_HISTORY);
+    m.def("next_state", &dp_next, nb::arg("state"), nb::arg("events"));
+    using Ages = nb::ndarray<nb::numpy, int32_t>;
+    nb::class_<Guard>(m, "Guard")
+        .def("__init__",
+             [](Guard *self, Core *core, Bytes rules, Bytes watch) {
+                 if (rules.size() != sizeof(dp_rules) || watch.size() != sizeof(dp_watch) * size_t(core->c.n))
+                     throw std::invalid_argument("supervisor records have the wrong size");
+                 new (self) Guard();
+                 self->core = core;
+                 if (dp_supervisor_init(&self->s, reinterpret_cast<const dp_rules *>(rules.data()),
+                                        reinterpret_cast<const dp_watch *>(watch.data()), core->c.n) != 0)
+                     throw std::invalid_argument("a number of the supervisor is out of range");
+             },
+             nb::arg("core"), nb::arg("rules"), nb::arg("watch"), nb::keep_alive<1, 2>())
+        .def_prop_ro("torque_age", [](Guard &g) { return Ages(g.torque_age, {size_t(g.s.n)}, nb::find(g)); })
+        .def_prop_ro("encoder_age", [](Guard &g) { return Ages(g.encoder_age, {size_t(g.s.n)}, nb::find(g)); })
+        .def_prop_ro("state", [](const Guard &g) { return g.s.state; })
+        .def_prop_ro("apply_brake", [](const Guard &g) { return g.s.apply_brake != 0; })
+        .def_prop_ro("stopped", [](const Guard &g) { return g.s.stopped != 0; })
+        .def_prop_ro("tick", [](const Guard &g) { return g.s.tick; })
+        .def_prop_ro("decisions", [](const Guard &g) { return g.s.decisions; })
+        .def("step",
+             [](Guard &g, Vector out) {
+                 if (out.size() != static_cast<size_t>(g.s.n))
+                     throw std::invalid_argument("out must have one element per joint");
+                 return dp_supervise(&g.s, &g.core->c, g.core->in, g.torque_age, g.encoder_age, out.data());
+             },
+             nb::arg("out").noconvert())
+        .def("stop", [](Guard &g, int why) { dp_supervisor_stop(&g.s, why); }, nb::arg("why"))
+        .def("reset", [](Guard &g) { dp_supervisor_reset(&g.s, &g.core->c); })
+        .def("log",
+             [](const Guard &g) {
+                 nb::list rows;
+                 for (long long i = g.s.decisions > DP_LOG ? g.s.decisions - DP_LOG : 0; i < g.s.decisions; i++) {
+                     const dp_decision &d = g.s.log[i % DP_LOG];
+                     rows.append(nb::make_tuple(d.tick, d.joint, d.from, d.to, d.why, d.value, d.threshold));
+                 }
+                 return rows;
+             })
+        .def("joint_state",
+             [](const Guard &g, int j) {
+                 const dp_joint_watch &o = g.s.joint[check_joint(*g.core, j)];
+                 return nb::make_tuple(o.residual, o.bound + g.s.watch[j].noise, o.speed, o.bias,
+                                       !o.encoder_lost, !o.torque_lost, o.cycles);
+             })
+        // For benchmarks, as step_many.
+        .def("step_many", [](Guard &g, int count) {
+            nb::gil_scoped_release release;
+            for (int i = 0; i < count; i++)
+                dp_supervise(&g.s, &g.core->c, g.core->in, g.torque_age, g.encoder_age, g.core->out);
+        });
+}
+
 }  // namespace
 
 NB_MODULE(_native, m) {
@@ -225,6 +293,8 @@ NB_MODULE(_native, m) {
           nb::arg("mean"), nb::arg("substeps"), nb::arg("late"), nb::arg("coulomb"), nb::arg("damper"),
           nb::arg("torque_gain"), nb::arg("speed"), nb::arg("window"), nb::arg("still"),
           nb::arg("speeds").noconvert(), nb::arg("commands").noconvert());
+
+    bind_supervisor(m);
 
     // For benchmarks: seconds are measured by the caller; no Python between the steps.
     m.def("step_many", [](Core &s, int count) {

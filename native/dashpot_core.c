@@ -143,6 +143,19 @@ static double joint_step(const dp_block *b, dp_state *s, double *w)
     return issued;
 }
 
+/* Passes the issued torque to the motor, through the delay line. */
+static void send(const dp_block *b, dp_state *s, double u)
+{
+    s->command = u;
+    if (b->latency == 0) {
+        s->in_effect = u;
+    } else {
+        s->in_effect = s->line[s->head];
+        s->line[s->head] = u;
+        s->head = s->head + 1 == b->latency ? 0 : s->head + 1;
+    }
+}
+
 int dp_step(dp_controller *c, const double *in, double *out)
 {
     const int n = c->n;
@@ -155,14 +168,27 @@ int dp_step(dp_controller *c, const double *in, double *out)
             for (int i = DP_IN_POSITION; i < DP_NIN; i++)
                 w[i + 1] = in[i * n + j];
         double u = joint_step(b, s, w);
-        s->command = u;
-        if (b->latency == 0) {
-            s->in_effect = u;
-        } else {
-            s->in_effect = s->line[s->head];
-            s->line[s->head] = u;
-            s->head = s->head + 1 == b->latency ? 0 : s->head + 1;
-        }
+        send(b, s, u);
+        out[j] = u;
+        status |= s->status;
+    }
+    return status;
+}
+
+int dp_issue(dp_controller *c, const double *torque, double *out)
+{
+    int status = DP_OK;
+    for (int j = 0; j < c->n; j++) {
+        const dp_block *b = &c->block[j];
+        dp_state *s = &c->state[j];
+        double u = s->command;
+        s->offset = 0.0;
+        s->changed = 0;
+        if (finite(torque[j]))
+            u = issue(b, s, torque[j]);
+        else
+            s->status = DP_NOT_FINITE;
+        send(b, s, u);
         out[j] = u;
         status |= s->status;
     }

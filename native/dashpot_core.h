@@ -75,6 +75,10 @@ void dp_reset(dp_controller *c);
  * Returns the statuses of all joints, or-ed. Never writes a non-finite torque. */
 int dp_step(dp_controller *c, const double *in, double *out);
 
+/* One tick in which the caller decides: issues torque[j] through the limits and the delay line, as dp_step
+ * does, and leaves the blocks' states alone. A torque that is not finite holds the last one. */
+int dp_issue(dp_controller *c, const double *torque, double *out);
+
 /* The calls below do nothing for a joint or a mode that does not exist.
  * Off, bypass or active from the next tick on; the change is bumpless when blend > 0. */
 void dp_set_mode(dp_controller *c, int joint, int mode);

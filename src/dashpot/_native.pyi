@@ -37,6 +37,30 @@ class Faults:
         self, script: NDArray[np.uint8], drives: NDArray[np.float64], brake_delay: float
     ) -> None: ...
 
+WATCH_SIZE: int
+RULES_SIZE: int
+REASONS: int
+LOG: int
+HISTORY: int
+
+def next_state(state: int, events: int) -> int: ...
+
+class Guard:
+    torque_age: NDArray[np.int32]
+    encoder_age: NDArray[np.int32]
+    state: int
+    apply_brake: bool
+    stopped: bool
+    tick: int
+    decisions: int
+    def __init__(self, core: Core, rules: NDArray[np.uint8], watch: NDArray[np.uint8]) -> None: ...
+    def step(self, out: NDArray[np.float64]) -> int: ...
+    def stop(self, why: int) -> None: ...
+    def reset(self) -> None: ...
+    def log(self) -> list[tuple[int, int, int, int, int, float, float]]: ...
+    def joint_state(self, joint: int) -> tuple[float, float, float, float, bool, bool, int]: ...
+    def step_many(self, count: int) -> None: ...
+
 def run(
     core: Core | None,
     drives: NDArray[np.uint8],

@@ -32,6 +32,13 @@ struct Faults {
     dp_faults f{};
 };
 
+// The C supervisor with the ages it reads; the core it steers is kept alive by its Python object.
+struct Guard {
+    dp_supervisor s{};
+    Core *core = nullptr;
+    int32_t torque_age[DP_MAX_JOINTS] = {}, encoder_age[DP_MAX_JOINTS] = {};
+};
+
 const dp_block *blocks_of(const Bytes &raw, int &n) {
     if (raw.size() == 0 || raw.size() % sizeof(dp_block) != 0)
         throw std::invalid_argument("coefficient blocks have the wrong size");
@@ -57,7 +64,8 @@ double *optional(nb::object o, size_t size, const char *name) {
 
 nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t model, uintptr_t data, Vector qpos,
               Vector qvel, Vector qfrc_applied, double dt, int steps_per_tick, int ticks, nb::object reference,
-              nb::object external, nb::object record, nb::object status, Faults *faults, int first, int last) {
+              nb::object external, nb::object record, nb::object status, Faults *faults, int first, int last,
+              Guard *guard) {
     if (drives.size() == 0 || drives.size() % sizeof(dp_drive) || events.size() % sizeof(dp_event))
         throw std::invalid_argument("drive or event records have the wrong size");
     dp_run_args a{};
@@ -81,6 +89,14 @@ nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t 
     if (faults && faults->f.drives != a.drives)
         throw std::invalid_argument("the faults are those of another number of drives");
     a.faults = faults ? &faults->f : nullptr;
+    if (guard) {
+        if (!faults || guard->core != core)
+            throw std::invalid_argument("a supervisor needs the controller it was made for, and a script of faults");
+        a.supervise = dp_supervise;
+        a.supervisor = &guard->s;
+        a.apply_brake = &guard->s.apply_brake;
+        a.state = &guard->s.state;
+    }
     for (int j = 0; j < a.drives; j++) {
         const dp_drive &d = a.drive[j];
         auto bad = [](int i, size_t n) { return i < 0 || static_cast<size_t>(i) >= n; };
@@ -134,12 +150,6 @@ void stops(Bytes blocks, Square slip, Square stick, Vector start, Vector sample,
 }
 
 // --- supervisor -------------------------------------------------------------------------------------------
-// The C supervisor with the ages it reads; the core it steers is kept alive by its Python object.
-struct Guard {
-    dp_supervisor s{};
-    Core *core = nullptr;
-    int32_t torque_age[DP_MAX_JOINTS] = {}, encoder_age[DP_MAX_JOINTS] = {};
-};
 
 void bind_supervisor(nb::module_ &m) {
     m.attr("WATCH_SIZE") = sizeof(dp_watch);
@@ -286,7 +296,7 @@ NB_MODULE(_native, m) {
           nb::arg("data"), nb::arg("qpos").noconvert(), nb::arg("qvel").noconvert(), nb::arg("qfrc_applied").noconvert(), nb::arg("dt"),
           nb::arg("steps_per_tick"), nb::arg("ticks"), nb::arg("reference").none(), nb::arg("external").none(),
           nb::arg("record").none(), nb::arg("status").none(), nb::arg("faults").none() = nb::none(), nb::arg("first") = 0,
-          nb::arg("last") = -1);
+          nb::arg("last") = -1, nb::arg("guard").none() = nb::none());
 
     m.def("stops", &stops, nb::arg("blocks"), nb::arg("slip").noconvert(), nb::arg("stick").noconvert(), nb::arg("start"),
           nb::arg("sample"), nb::arg("rotor"), nb::arg("held"), nb::arg("link"), nb::arg("spring"), nb::arg("slips"),

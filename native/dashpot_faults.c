@@ -42,6 +42,7 @@ int dp_faults_init(dp_faults *f, const dp_fault *fault, int faults, const dp_fau
 
 void dp_faults_begin(dp_faults *f, const dp_drive *drive)
 {
+    f->stopped_at = -1;
     for (int j = 0; j < f->drives; j++) {
         const dp_fault_drive of = f->state[j].of;
         dp_fault_state *s = &f->state[j];

@@ -79,6 +79,7 @@ typedef struct dp_faults {
     int powered;       /* 0: brownout */
     int acting;        /* whether forces must be added at every physics step */
     int apply_brake;   /* set by a supervisor: the mechanical brakes of all drives close */
+    int stopped_at;    /* tick at which a supervisor left tracking, or -1: servos stay where they were told to be */
     int torque_age[DP_MAX_JOINTS], encoder_age[DP_MAX_JOINTS]; /* by drive [ticks] */
     double brake_delay; /* from telling to fully closed; nothing in the first half, then a ramp [s] */
     dp_fault fault[DP_MAX_FAULTS];

@@ -183,6 +183,8 @@ static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in,
             a->status[tick] = status;
         if (f && a->apply_brake)
             f->apply_brake = *a->apply_brake;
+        if (f && a->state && *a->state != 0 && f->stopped_at < 0)
+            f->stopped_at = tick;
     }
     for (int j = 0; j < a->drives; j++) {
         dp_drive *d = &a->drive[j];
@@ -248,8 +250,9 @@ int dp_run(dp_controller *c, dp_run_args *a)
             for (int j = 0; j < a->drives; j++) {
                 double reference[2] = {0.0, 0.0};
                 if (a->drive[j].control < 0 && a->reference) {
-                    reference[0] = *row(a->reference, a, 0, tick, j);
-                    reference[1] = *row(a->reference, a, 1, tick, j);
+                    const int held = a->faults && a->faults->stopped_at >= 0;
+                    reference[0] = *row(a->reference, a, 0, held ? a->faults->stopped_at : tick, j);
+                    reference[1] = held ? 0.0 : *row(a->reference, a, 1, tick, j);
                 }
                 actuate(&a->drive[j], a, a->reference ? reference : 0, k * a->dt,
                         a->external ? *row(a->external, a, 0, tick, j) : 0.0, step);

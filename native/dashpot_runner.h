@@ -104,6 +104,7 @@ typedef struct {
                      const int *encoder_age, double *out);
     struct dp_supervisor *supervisor;
     const int *apply_brake;            /* the supervisor's flag, copied to faults after each call; or null */
+    const int *state;                  /* its state, 0 while it tracks; or null */
 } dp_run_args;
 
 /* Runs ticks a->first to a->last; returns DP_RUN_OK or DP_RUN_DIVERGED (a rotor or link faster than

@@ -119,7 +119,7 @@ typedef struct {
     int up, cycles, mode, loop, back, anchored, reserved;
 } dp_joint_watch;
 
-typedef struct {
+typedef struct dp_supervisor {
     int n, state;
     int apply_brake;                     /* 1 once the mechanical brake must close */
     int events;                          /* DP_EV_*, latched */

@@ -81,6 +81,7 @@ def run(
     faults: Faults | None = None,
     first: int = 0,
     last: int = -1,
+    guard: Guard | None = None,
 ) -> tuple[int, int]: ...
 def stops(
     blocks: NDArray[np.uint8],

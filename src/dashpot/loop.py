@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import ctypes
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,11 +21,13 @@ from dashpot.plant import Plant, with_payload, with_timestep
 from dashpot.recording import CHANNELS, Recording
 from dashpot.sampled import BLOCK_DTYPE
 from dashpot.script import native_faults, tick_of
+from dashpot.supervisor import STATES, decisions, native_guard, watch_records
 
 if TYPE_CHECKING:
     from dashpot.simulate import Scenario
 
 EVENT_DTYPE = np.dtype([("tick", "i4"), ("joint", "i4"), ("kind", "i4"), ("value", "i4")])
+BEYOND = 0.1  # [rad] past the stops, which yield
 _KINDS = {"mode": 0, "position_loop": 1, "warm_start": 2}
 
 
@@ -128,6 +131,15 @@ def _drives(scenario: Scenario, plant: Plant) -> NDArray[np.void]:
     return drives
 
 
+def _ranges(plant: Plant) -> dict[str, tuple[float, float]]:
+    """Joint -> angles [rad] beyond which an encoder cannot be right."""
+    drives = plant.drives
+    return {
+        name: (float(drives["stop_lower"][i]) - BEYOND, float(drives["stop_upper"][i]) + BEYOND)
+        for i, name in enumerate(plant.robot.joints)
+    }
+
+
 class Loop:
     """One run of a scenario, which may be cut into pieces: `advance` goes on where it stopped.
 
@@ -150,7 +162,13 @@ class Loop:
         self._core = _native.Core(controller.blocks.view(np.uint8)) if controller else None
         self._drives, self._events = _drives(scenario, plant), _events(scenario)
         self.faults: _native.Faults | None = None
-        if scenario.faults:
+        self._guard: _native.Guard | None = None
+        if scenario.supervisor is not None:
+            if controller is None or self._core is None:
+                raise InputError("needs a controller to supervise", quantity="supervisor")
+            watch = watch_records(controller, plant.robot.drives, scenario.supervisor, _ranges(plant))
+            self._guard = native_guard(self._core, watch, scenario.supervisor, controller.period)
+        if scenario.faults or self._guard is not None:  # by the script a supervisor closes the brakes
             controlled = controller.joints if controller else ()
             self.faults = native_faults(scenario.faults, plant, controlled, trajectory, scenario.seed)
         self._model, self._data = plant.model, mujoco.MjData(plant.model)
@@ -223,6 +241,7 @@ class Loop:
             self.faults,
             self.tick,
             until,
+            self._guard,
         )
         self.tick = until
         if outcome:
@@ -230,10 +249,11 @@ class Loop:
 
     def recording(self) -> Recording:
         """What happened so far; rows that have not been run are NaN."""
-        scenario, plant, time = self.scenario, self._plant, self.scenario.trajectory.time
+        scenario, plant, trajectory = self.scenario, self._plant, self.scenario.trajectory
+        time = trajectory.time
         settings: dict[str, object] = {
             "robot": plant.robot.name,
-            "period": scenario.trajectory.period,
+            "period": trajectory.period,
             "timestep": plant.timestep,
             "seed": scenario.seed,
             "label": scenario.label,
@@ -242,10 +262,18 @@ class Loop:
             settings["faults"] = [fault.table() for fault in scenario.faults]
         if scenario.payload_changes:
             settings["payload_changes"] = [change.table() for change in scenario.payload_changes]
+        if self._guard is not None and scenario.controller is not None:
+            log = decisions(self._guard, scenario.controller.joints, trajectory.period)
+            settings["supervisor"] = {
+                "state": STATES[self._guard.state],
+                "apply_brake": self._guard.apply_brake,
+                "stopped": self._guard.stopped,
+                "decisions": [{**asdict(d), "time": d.time + trajectory.start} for d in log],
+            }
         return Recording(
             plant.robot.joints,
             time,
-            scenario.trajectory.position,
+            trajectory.position,
             **dict(zip(CHANNELS, self._record, strict=True)),
             status=self._status,
             diverged_at=None if self.diverged is None else float(time[self.diverged]),

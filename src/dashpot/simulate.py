@@ -16,6 +16,7 @@ from dashpot.plant import Plant, build
 from dashpot.recording import Recording
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
+from dashpot.supervisor import SupervisorSettings
 from dashpot.trajectory import Trajectory
 
 EventKind = Literal["mode", "position_loop", "warm_start"]
@@ -75,6 +76,8 @@ class Scenario:
         label: For messages.
         faults: In any order; those at the same time compose (docs/faults.md).
         payload_changes: In any order.
+        supervisor: Runs in place of the bare controller, as on a robot; None: none does. What it decides is
+            in ``recording.settings["supervisor"]``.
     """
 
     plant: Plant
@@ -86,6 +89,7 @@ class Scenario:
     label: str = ""
     faults: Sequence[Fault] = ()
     payload_changes: Sequence[PayloadChange] = ()
+    supervisor: SupervisorSettings | None = None
 
 
 def run(scenario: Scenario) -> Recording:

@@ -351,34 +351,9 @@ class Supervisor:
         Raises:
             InputError: A controlled joint has no drive, or a range is empty.
         """
-        if (WATCH_DTYPE.itemsize, RULES_DTYPE.itemsize) != (_native.WATCH_SIZE, _native.RULES_SIZE):
-            raise RuntimeError("the native library was built from another version; reinstall dashpot")
-        by_name = {drive.name: drive for drive in drives}
         self.controller, self.settings = controller, settings or SupervisorSettings()
-        records = []
-        for name, block in zip(controller.joints, controller.blocks, strict=True):
-            if name not in by_name:
-                raise InputError(f"has no drive; there are {', '.join(by_name)}", joint=name)
-            lower, upper = (limits or {}).get(name, (-math.inf, math.inf))
-            if not lower < upper:
-                raise InputError(
-                    "lower must be below upper", joint=name, quantity="limits [rad]", value=(lower, upper)
-                )
-            records.append(
-                watch_record(
-                    by_name[name],
-                    block,
-                    self.settings,
-                    controller.period,
-                    controller.sampling,
-                    (lower, upper),
-                )
-            )
-        self.watch = np.array(records)
-        rules = rules_record(self.settings, controller.period)
-        self.guard = _native.Guard(
-            controller.core, rules.reshape(1).view(np.uint8), self.watch.view(np.uint8)
-        )
+        self.watch = watch_records(controller, drives, self.settings, limits)
+        self.guard = native_guard(controller.core, self.watch, self.settings, controller.period)
         self.torque_age, self.encoder_age = self.guard.torque_age, self.guard.encoder_age
         self.step = self.guard.step
 
@@ -400,22 +375,7 @@ class Supervisor:
     @property
     def log(self) -> list[Decision]:
         """The decisions, oldest first; the latest 64, which is all since the last reset."""
-        period = self.controller.period
-        return [
-            Decision(
-                tick * period,
-                tick,
-                self.controller.joints[joint] if joint >= 0 else None,
-                STATES[before],
-                STATES[after],
-                REASONS[why].name,
-                value,
-                threshold,
-                REASONS[why].unit,
-                REASONS[why].words,
-            )
-            for tick, joint, before, after, why, value, threshold in self.guard.log()
-        ]
+        return decisions(self.guard, self.controller.joints, self.controller.period)
 
     def stop(self, reason: Literal["operator", "host"] = "operator") -> None:
         """Asks for a stop by the torque brake from the next tick on.
@@ -435,6 +395,61 @@ class Supervisor:
         """Rotor balance and its limit [N m], speed [rad/s], latched bias [N m], and trust of one joint."""
         keys = ("residual", "limit", "speed", "bias", "encoder_trusted", "torque_trusted", "half_cycles")
         return dict(zip(keys, self.guard.joint_state(self.controller.index(name)), strict=True))
+
+
+def watch_records(
+    controller: Controller,
+    drives: Sequence[Drive],
+    settings: SupervisorSettings,
+    limits: Mapping[str, tuple[float, float]] | None = None,
+) -> NDArray[np.void]:
+    """The thresholds of a controller's joints, (n,) records of `WATCH_DTYPE`; arguments as of `Supervisor`.
+
+    Raises:
+        InputError: A controlled joint has no drive, or a range is empty.
+    """
+    by_name = {drive.name: drive for drive in drives}
+    records = []
+    for name, block in zip(controller.joints, controller.blocks, strict=True):
+        if name not in by_name:
+            raise InputError(f"has no drive; there are {', '.join(by_name)}", joint=name)
+        lower, upper = (limits or {}).get(name, (-math.inf, math.inf))
+        if not lower < upper:
+            raise InputError(
+                "lower must be below upper", joint=name, quantity="limits [rad]", value=(lower, upper)
+            )
+        means = settings, controller.period, controller.sampling, (lower, upper)
+        records.append(watch_record(by_name[name], block, *means))
+    return np.array(records)
+
+
+def native_guard(
+    core: _native.Core, watch: NDArray[np.void], settings: SupervisorSettings, period: float
+) -> _native.Guard:
+    """The native supervisor of a native controller."""
+    if (WATCH_DTYPE.itemsize, RULES_DTYPE.itemsize) != (_native.WATCH_SIZE, _native.RULES_SIZE):
+        raise RuntimeError("the native library was built from another version; reinstall dashpot")
+    rules = rules_record(settings, period)
+    return _native.Guard(core, rules.reshape(1).view(np.uint8), watch.view(np.uint8))
+
+
+def decisions(guard: _native.Guard, joints: Sequence[str], period: float) -> list[Decision]:
+    """What a native supervisor has decided, oldest first; the latest 64, which is all since a reset."""
+    return [
+        Decision(
+            tick * period,
+            tick,
+            joints[joint] if joint >= 0 else None,
+            STATES[before],
+            STATES[after],
+            REASONS[why].name,
+            value,
+            threshold,
+            REASONS[why].unit,
+            REASONS[why].words,
+        )
+        for tick, joint, before, after, why, value, threshold in guard.log()
+    ]
 
 
 def next_state(state: State, *events: str) -> State:

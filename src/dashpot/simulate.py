@@ -124,7 +124,9 @@ def _start(scenario: Scenario, core: Any, events: NDArray[np.void], data: Any) -
             modes[joints[event["joint"]]] = MODES[event["value"]]
     found = None
     if "off" not in modes.values():
-        found = settle(plant, joints, blocks, reference, [j for j, mode in modes.items() if mode == "bypass"])
+        bypass = [j for j, mode in modes.items() if mode == "bypass"]
+        torque = None if scenario.trajectory.torque is None else scenario.trajectory.torque[0]
+        found = settle(plant, joints, blocks, reference, bypass, torque)
     if found is None:
         data.qpos[plant.rotor_qpos] = reference
         return
@@ -154,6 +156,8 @@ def _check(scenario: Scenario) -> None:
     arrays = {
         f"trajectory {name}": getattr(trajectory, name) for name in ("position", "velocity", "acceleration")
     }
+    if trajectory.torque is not None:
+        arrays["trajectory torque [N m]"] = trajectory.torque
     if scenario.external is not None:
         arrays["external torque [N m]"] = scenario.external
     for quantity, array in arrays.items():
@@ -202,9 +206,8 @@ def run(scenario: Scenario) -> Recording:
     events = _events(scenario)
     _start(scenario, core, events, data)
     mujoco.mj_forward(plant.model, data)
-    reference = np.stack(
-        [trajectory.position, trajectory.velocity, trajectory.acceleration, np.zeros((ticks, n))]
-    )
+    torque = np.zeros((ticks, n)) if trajectory.torque is None else trajectory.torque
+    reference = np.stack([trajectory.position, trajectory.velocity, trajectory.acceleration, torque])
     record = np.full((len(CHANNELS), ticks, n), np.nan)
     status = np.zeros(ticks, np.int32)
     outcome, tick = _native.run(
@@ -296,6 +299,9 @@ def simulate(
     seed: int = 0,
 ) -> Recording:
     """Builds the plant and the controller and runs once: the short way for one scenario."""
+    from dashpot.rivals.gravity import with_feedforward
+
+    trajectory = with_feedforward(robot, config, trajectory)
     plant = build(robot, trajectory.period, payloads)
     controller = Controller.from_config(config, robot.drives) if config else None
     return run(Scenario(plant, controller, trajectory, events, seed=seed))

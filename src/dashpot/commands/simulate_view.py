@@ -57,7 +57,9 @@ def show(recording: Recording, robot: Robot, controller: Controller, plant: Plan
         found = vibration(recording.sample[before], controller.period)
     oscillating = []
     for j, drive in enumerate(robot.drives):
-        kind = "servo" if drive.name not in controller.joints else "VPC"
+        kind = "servo"
+        if drive.name in controller.joints:
+            kind = controller.laws[controller.index(drive.name)]
         kind = "bypassed" if _bypassed(drive.name, options) else kind
         largest, used, shaken = "-", "-", "-"
         if len(torque):

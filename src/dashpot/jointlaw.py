@@ -31,6 +31,7 @@ class Law(ABC):
     Attributes:
         name: Joint of the robot.
         law: What the controller file calls it.
+        label: What tables call it.
         brake: Whether it brakes, and leaves tracking to the position loop of its bypass until the encoder is
             lost.
         warm: Whether a warm start from the joint's velocity means something to it.
@@ -40,6 +41,7 @@ class Law(ABC):
 
     name: str
     law: ClassVar[str]
+    label: ClassVar[str]
     brake: ClassVar[bool] = False
     warm: ClassVar[bool] = False
     keeps_encoder: ClassVar[bool] = False
@@ -106,11 +108,6 @@ class Law(ABC):
         return ""
 
     @property
-    def label(self) -> str:
-        """For tables."""
-        return self.law.replace("_", " ")
-
-    @property
     def text(self) -> str:
         """The law and its numbers, for titles."""
         shown = [
@@ -118,7 +115,7 @@ class Law(ABC):
             for key, value in vars(self).items()
             if isinstance(value, float) and (value != 0 or key in ("kp", "kd"))
         ]
-        return f"{self.label}: {', '.join(shown)}" if shown else self.label
+        return self.law.replace("_", " ") + (f": {', '.join(shown)}" if shown else "")
 
 
 @dataclass(frozen=True)
@@ -137,6 +134,7 @@ class JointGains(Law):
     """
 
     law: ClassVar[str] = "virtual_passive"
+    label: ClassVar[str] = "VPC"
     warm: ClassVar[bool] = True
     R: float = number("-", 1e-6, 1e4, typical=(0.01, 200))
     D: float = number("N m s/rad", 1e-9, 1e6, typical=(1e-3, 1e4))
@@ -171,11 +169,6 @@ class JointGains(Law):
     def friction_factor(self, drive: Drive) -> float:
         """See `Law.friction_factor`: ``1 + R``."""
         return 1 + self.R
-
-    @property
-    def label(self) -> str:
-        """For tables."""
-        return "VPC"
 
     @property
     def text(self) -> str:

@@ -41,7 +41,7 @@ class JointCertificate:
         nominal: Index with the drive's nominal values.
         bare: Index of the drive without a controller [N m s/rad].
         box: Over the box of the drive's uncertainty.
-        brake: The same without position loop, as when the encoder is lost; None where there is none.
+        brake: The same without position loop, as when the encoder is lost; None where that changes nothing.
         counterexample: A load that oscillates where the verdict is no, or None.
         point: Drive values at which it does: nominal, or the worst point of the box.
         trouble: How such a law is known to give out energy, in words, or empty.
@@ -154,7 +154,7 @@ def certify_joint(drive: Drive, gains: Law, config: ControllerConfig) -> JointCe
     nominal = passivity_index(drive, block, sampling, period)
     box = certify_box(drive, block, sampling, period, config.latency_max)
     brake = None
-    if uses(block, POSITION) or uses(block, VELOCITY):
+    if not gains.keeps_encoder and (uses(block, POSITION) or uses(block, VELOCITY)):
         brake = certify_box(drive, without_encoder(block), sampling, period, config.latency_max)
     point = {name: _nominal(name, drive, config) for name in POINTS}
     load = None

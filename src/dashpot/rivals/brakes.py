@@ -62,6 +62,7 @@ class Off(Brake):
     """The motor without current: zero torque. Also the law under shorted windings or a mechanical brake."""
 
     law: ClassVar[str] = "off"
+    label: ClassVar[str] = "off"
 
     def braking(self, drive: Drive, config: ControllerConfig) -> NDArray[np.void]:
         """Zeros."""
@@ -77,6 +78,7 @@ class StaticFeedback(Brake):
     """
 
     law: ClassVar[str] = "static_feedback"
+    label: ClassVar[str] = "static fb."
     gain: float = number("-", 0, 0.9999)
 
     def braking(self, drive: Drive, config: ControllerConfig) -> NDArray[np.void]:
@@ -103,6 +105,7 @@ class RotorObserver(Brake):
     """
 
     law: ClassVar[str] = "rotor_observer"
+    label: ClassVar[str] = "observer"
     warm: ClassVar[bool] = True
     damping: float = number("N m s/rad", 0, 1e6)
     rotor_inertia: float | None = number("kg m^2", 1e-9, 1e3, default=None)
@@ -127,6 +130,7 @@ class LatchedTorque(Brake):
     """The last torque stays, `latched_torque_block`."""
 
     law: ClassVar[str] = "latched_torque"
+    label: ClassVar[str] = "latched"
 
     def braking(self, drive: Drive, config: ControllerConfig) -> NDArray[np.void]:
         """See `latched_torque_block`."""
@@ -143,6 +147,7 @@ class EncoderDamping(Brake):
     """
 
     law: ClassVar[str] = "encoder_damping"
+    label: ClassVar[str] = "encoder"
     keeps_encoder: ClassVar[bool] = True
     position_gains: ClassVar[tuple[str, ...]] = ("damping",)
     damping: float = number("N m s/rad", 0, 1e6)

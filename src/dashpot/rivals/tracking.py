@@ -43,6 +43,7 @@ class PD(Tracker):
     """``u = kp (q_d - q) + kd (q_d' - q') + torque_ref``."""
 
     law: ClassVar[str] = "pd"
+    label: ClassVar[str] = "PD"
 
     def coefficients(
         self, drive: Drive, config: ControllerConfig, *, file: object = None
@@ -64,6 +65,7 @@ class PDScaled(Tracker):
     """
 
     law: ClassVar[str] = "pd_scaled"
+    label: ClassVar[str] = "PD x R"
     R: float = number("-", 1e-6, 1e4)
 
     def coefficients(
@@ -87,6 +89,7 @@ class PDGravity(Tracker):
     """
 
     law: ClassVar[str] = "pd_gravity"
+    label: ClassVar[str] = "PD + model"
     payload: float = number("kg", 0, 1e4, default=0.0)
     offset: float = number("m", -10, 10, default=0.0)
 
@@ -110,6 +113,7 @@ class PID(Tracker):
     """
 
     law: ClassVar[str] = "pid"
+    label: ClassVar[str] = "PID"
     position_gains: ClassVar[tuple[str, ...]] = ("kp", "ki", "kd")
     ki: float = number("N m/(rad s)", 0, 1e8)
 
@@ -124,7 +128,7 @@ class PID(Tracker):
         if self.ki == 0:
             return _late_pd(self.kp, self.kd)
         heavy = _heaviest(drive, self.kp, self.ki, self.kd)
-        return f"its integral of the position error gives out energy at low frequency: {heavy}"
+        return f"the integral of the position error, at low frequency; {heavy}"
 
 
 @dataclass(frozen=True)
@@ -138,6 +142,7 @@ class DisturbanceObserver(Tracker):
     """
 
     law: ClassVar[str] = "disturbance_observer"
+    label: ClassVar[str] = "DOB"
     warm: ClassVar[bool] = True
     position_gains: ClassVar[tuple[str, ...]] = ("kp", "kd", "rotor_inertia", "viscous_friction")
     cutoff: float = number("Hz", 0, 1e5, open_low=True)
@@ -157,7 +162,7 @@ class DisturbanceObserver(Tracker):
         heavy = _heaviest(
             drive, self.kp + (self.kd + friction) * corner, self.kp * corner, self.kd + inertia * corner
         )
-        return f"it integrates the position error, which gives out energy at low frequency: {heavy}"
+        return f"cancelling the disturbance integrates the position error, at low frequency; {heavy}"
 
 
 @dataclass(frozen=True)
@@ -171,6 +176,7 @@ class TorqueFeedback(Tracker):
     """
 
     law: ClassVar[str] = "torque_feedback"
+    label: ClassVar[str] = "torque fb."
     position_gains: ClassVar[tuple[str, ...]] = ("kp", "kd", "viscous_friction")
     gain: float = number("-", 0, 1, default=1.0)
     rotor_inertia: float | None = number("kg m^2", 1e-9, 1e3, default=None)
@@ -192,7 +198,7 @@ class TorqueFeedback(Tracker):
             return "the torque fed back comes late"
         return (
             "with the load cancelled only the delay of the torque is left of the rotor, and the position "
-            "loop behind it gives out energy at low frequency"
+            "loop gives out energy through it"
         )
 
 
@@ -205,6 +211,7 @@ class InertiaShaping(Tracker):
     """
 
     law: ClassVar[str] = "inertia_shaping"
+    label: ClassVar[str] = "shaping"
     ratio: float = number("-", 1e-3, 1e3)
 
     def coefficients(

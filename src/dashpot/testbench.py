@@ -150,7 +150,7 @@ class Replay:
     recording: Recording
 
 
-def replay(robot: Path, controller: Path, expected: Counterexample) -> Replay:
+def replay(robot: Path, controller: Path, expected: Counterexample, steps: int = 1) -> Replay:
     """Knocks the load of a written bench and watches the oscillation before anything saturates.
 
     Friction, limits and sensor noise act. Friction damps a small oscillation more than a large one: where it
@@ -160,6 +160,8 @@ def replay(robot: Path, controller: Path, expected: Counterexample) -> Replay:
         robot: As `write` wrote it.
         controller: As `write` wrote it.
         expected: What was predicted.
+        steps: Of the engine per period, at least. Its half-step shifts count where a law all but cancels the
+            rotor and lives from the delay that is left.
     """
     from dashpot.controller import Controller
     from dashpot.plant import build
@@ -173,7 +175,7 @@ def replay(robot: Path, controller: Path, expected: Counterexample) -> Replay:
     swinging = abs(load.inertia * omega - load.stiffness / omega)
     stiff = max(swinging, math.sqrt(drive.stiffness * drive.rotor_inertia))
     path = hold([0.0], min(max(3 * CYCLES / expected.frequency, 8 / expected.growth), LONGEST), period)
-    plant = build(arm, period)
+    plant = build(arm, period / steps)
     every = max(1, round(1 / (expected.frequency * period * SAMPLED)))
     room = HOT * math.exp(-CYCLES * expected.growth / expected.frequency)
     for share in (room, *KNOCKS):

@@ -83,14 +83,13 @@ def settle(
         torque = np.array(data.qfrc_bias[plant.rotor_dof])
         inputs[:, TORQUE] = drives["sensor_gain"] * torque + drives["sensor_bias"]
         inputs[:, IN_EFFECT] = torque
-        deflection = -torque / drives["stiffness"]
-        before = rotor
-        rotor = np.empty(n)
+        before = rotor, deflection
+        rotor, deflection = np.empty(n), -torque / drives["stiffness"]
         for i, law in laws.items():
             states[i], rotor[i] = law.at(inputs[i], torque[i])
         if not np.isfinite(rotor).all():
             return None
-        if np.abs(rotor - before).max() < TOLERANCE:
+        if max(np.abs(rotor - before[0]).max(), np.abs(deflection - before[1]).max()) < TOLERANCE:
             break
     else:
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from dashpot.cli import main
 from dashpot.controller import Controller, ControllerConfig, JointGains
 from dashpot.errors import InputError
+from dashpot.laws import LAWS
 from dashpot.payload import Payload
 from dashpot.plant import build
 from dashpot.release import release_events, tracking_events
@@ -18,6 +20,7 @@ from dashpot.rivals.gravity import gravity_reference, with_feedforward
 from dashpot.rivals.tracking import PD, PID, DisturbanceObserver, InertiaShaping, PDGravity, TorqueFeedback
 from dashpot.robot import Robot
 from dashpot.simulate import Scenario, run, simulate
+from dashpot.studies.laws import rows
 from dashpot.trajectory import hold, multisine
 
 H = 1e-3
@@ -243,3 +246,11 @@ def test_a_map_of_another_law_is_refused(controller, tmp_path, capsys):
         "joint 'joint5': law = 'pid': has no R and D: this needs law = \"virtual" in capsys.readouterr().err
     )
     assert not (tmp_path / "map").exists()
+
+
+def test_the_table_of_the_documentation_is_what_its_command_prints():
+    document = (Path(__file__).parents[1] / "docs" / "rivals.md").read_text(encoding="utf-8")
+    printed = list(rows())
+    assert "\n".join(printed) in document
+    for law in LAWS:
+        assert f"`{law}`" in document

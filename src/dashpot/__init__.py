@@ -24,6 +24,8 @@ _HOMES = {
     "design_arm": "design.design",
     "identify_joint": "identify",
     "TorqueFeedbackLaw": "law",
+    "LAWS": "laws",
+    "Law": "jointlaw",
     "VirtualNetwork": "network",
     "Payload": "payload",
     "Plant": "plant",

@@ -86,7 +86,9 @@ def draw(joint: JointCertificate, drive: Drive, law: Law, config: ControllerConf
         axes[0, 0].set_title(f"{law.text}, {config.form} form")
     else:
         _surplus(axes[0, 0], joint, drive, law, config)
-        axes[0, 0].set_title(law.text, parse_math=False)
+        constant = holds_torque(block_of(drive, law, config))
+        text = law.text + (", around the torque it holds" if constant else "")
+        axes[0, 0].set_title(text, parse_math=False)
     _window(axes[0, 1], joint, drive, law, config)
     verdict = "certified" if joint.certified else "not certified"
     figure.suptitle(
@@ -248,7 +250,8 @@ def _surplus(axis: Any, joint: JointCertificate, drive: Drive, law: Law, config:
         lowest, highest = min(lowest, float(damping.min())), max(highest, float(damping.max()))
     linear = max(drive.damping, 1e-3 * max(highest, -lowest))
     axis.set_xscale("log")
-    axis.set_yscale("symlog", linthresh=linear)
+    if max(highest, -lowest) > 10 * linear:
+        axis.set_yscale("symlog", linthresh=linear)
     bottom = 2 * lowest if lowest < -linear else lowest - 0.3 * linear
     axis.axhspan(bottom, 0, color=VERMILLION, alpha=0.12, lw=0)
     axis.axhline(0, color=BLACK, lw=0.8)

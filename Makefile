@@ -6,7 +6,7 @@ NATIVE := $(wildcard native/*) CMakeLists.txt pyproject.toml
 # An editable install knows the modules it was made with: one that comes or goes touches its folder.
 FOLDERS := $(shell find src -type d -not -name __pycache__)
 
-.PHONY: demo test lint bench evidence-fig6 evidence-certify evidence-identify evidence-design clean
+.PHONY: demo test lint bench evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals clean
 
 demo: $(VENV)/.installed
 	$(BIN)/dashpot reproduce --out out/paper
@@ -43,6 +43,11 @@ evidence-design: $(VENV)/.installed
 	  $(BIN)/python -m dashpot.studies.designs $$part > docs/evidence/design-$$part.json.part && \
 	  mv docs/evidence/design-$$part.json.part docs/evidence/design-$$part.json || exit 1; \
 	done
+
+# About ten minutes: tunes every law on one joint with one budget.
+evidence-rivals: $(VENV)/.installed
+	$(BIN)/python -m dashpot.studies.rivals_tuning > docs/evidence/rivals.json.part
+	mv docs/evidence/rivals.json.part docs/evidence/rivals.json
 
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "dashpot needs Python 3.11 or newer; try: make PYTHON=python3.11")'

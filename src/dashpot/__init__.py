@@ -25,6 +25,8 @@ _HOMES = {
     "identify_joint": "identify",
     "Fault": "faults",
     "TorqueFeedbackLaw": "law",
+    "LAWS": "laws",
+    "Law": "jointlaw",
     "VirtualNetwork": "network",
     "Payload": "payload",
     "Plant": "plant",

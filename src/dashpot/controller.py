@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -16,17 +15,12 @@ from numpy.typing import NDArray
 
 import dashpot._native as _native
 from dashpot.drive import Drive
-from dashpot.errors import InputError, InputWarning
-from dashpot.sampled import (
-    BLOCK_DTYPE,
-    NX,
-    Floats,
-    Form,
-    VirtualPassive,
-    add_position_loop,
-    virtual_passive_block,
-)
-from dashpot.tables import as_float, check_keys, check_numbers, from_table, number, read_toml
+from dashpot.errors import InputError
+from dashpot.jointlaw import JointGains as JointGains
+from dashpot.jointlaw import Law as Law
+from dashpot.laws import law_from_table
+from dashpot.sampled import BLOCK_DTYPE, NX, Floats, Form
+from dashpot.tables import as_float, check_keys, check_numbers, number, read_toml
 
 SLIGHT = 0.1  # samples of latency that are not counted
 Sampling = Literal["average", "point"]
@@ -40,39 +34,11 @@ TORQUE_LIMITED, RATE_LIMITED, NOT_FINITE, BLENDING = 1, 2, 4, 8
 
 
 @dataclass(frozen=True)
-class JointGains:
-    """One ``[[joint]]`` of a controller file. SI units, link side.
-
-    Attributes:
-        name: Joint of the robot.
-        R: R_tau of Eq. (20): how many times heavier the virtual rotor is [-].
-        D: D_c, virtual damping [N m s/rad].
-        K: K_c, virtual stiffness [N m/rad].
-        kp: Position gain of Fig. 2 [N m/rad].
-        kd: Velocity gain of Fig. 2 [N m s/rad].
-        rotor_inertia: m assumed by the law [kg m^2]; None: the drive's.
-        viscous_friction: v assumed by the law [N m s/rad]; None: the drive's.
-    """
-
-    name: str
-    R: float = number("-", 1e-6, 1e4, typical=(0.01, 200))
-    D: float = number("N m s/rad", 1e-9, 1e6, typical=(1e-3, 1e4))
-    K: float = number("N m/rad", 0, 1e7, default=0.0)
-    kp: float = number("N m/rad", 0, 1e7, default=0.0)
-    kd: float = number("N m s/rad", 0, 1e6, default=0.0)
-    rotor_inertia: float | None = number("kg m^2", 1e-9, 1e3, default=None)
-    viscous_friction: float | None = number("N m s/rad", 0, 1e4, default=None)
-
-    def __post_init__(self) -> None:
-        check_numbers(self, joint=self.name)
-
-
-@dataclass(frozen=True)
 class ControllerConfig:
     """A controller file.
 
     Attributes:
-        joints: Gains, one per controlled joint; the others stay under the robot's own position loop.
+        joints: Laws, one per controlled joint; the others stay under the robot's own position loop.
         period: Sample period [s].
         latency: Whole samples from computing a torque to its taking effect.
         latency_max: The longest it may be, for the certificate; None: `latency`.
@@ -82,7 +48,7 @@ class ControllerConfig:
         file: Where it was read from.
     """
 
-    joints: tuple[JointGains, ...]
+    joints: tuple[Law, ...]
     period: float = number("s", 1e-5, 1.0, typical=(1e-4, 0.02))
     latency: int = 0
     latency_max: int | None = None
@@ -119,6 +85,15 @@ class ControllerConfig:
             if names.count(name) > 1:
                 raise InputError("is listed twice", file=self.file, joint=name)
 
+    @property
+    def gains(self) -> tuple[JointGains, ...]:
+        """Every joint's gains R, D, K, kp and kd.
+
+        Raises:
+            InputError: A joint has another law than the virtual passive one.
+        """
+        return tuple(gains_of(joint, file=self.file) for joint in self.joints)
+
     @classmethod
     def load(cls, path: str | Path) -> ControllerConfig:
         """Reads a controller TOML (see README, "Files").
@@ -137,15 +112,10 @@ class ControllerConfig:
         entries = table.pop("joint")
         if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
             raise InputError("must be [[joint]] tables", file=path, quantity="joint")
-        joints = []
-        for entry in entries:
-            name = entry.get("name")
-            if not isinstance(name, str):
-                raise InputError("every [[joint]] needs a name", file=path, quantity="name", value=name)
-            joints.append(from_table(JointGains, entry, file=path, joint=name))
+        joints = tuple(law_from_table(entry, file=path) for entry in entries)
         if type(table["period"]) is int:
             table["period"] = as_float(table["period"])
-        return cls(joints=tuple(joints), file=path, **table)
+        return cls(joints=joints, file=path, **table)
 
 
 def load_controller(source: str | Path) -> ControllerConfig:
@@ -164,41 +134,26 @@ def load_controller(source: str | Path) -> ControllerConfig:
     return ControllerConfig.load(path)
 
 
-def joint_block(
-    gains: JointGains, drive: Drive, config: ControllerConfig, *, file: object = None
-) -> NDArray[np.void]:
-    """The coefficient block of one joint, position loop and limits included.
+def gains_of(law: Law, *, file: object = None) -> JointGains:
+    """The gains R, D, K, kp and kd of a joint.
 
-    Returns:
-        A record of `BLOCK_DTYPE`.
-
-    Warns:
-        InputWarning: The drive's torque-channel error exceeds ``D/(R a)``, the most this law tolerates.
+    Raises:
+        InputError: It has another law.
     """
-    law = VirtualPassive(
-        gains.R,
-        gains.D,
-        gains.K,
-        drive.rotor_inertia if gains.rotor_inertia is None else gains.rotor_inertia,
-        drive.viscous_friction if gains.viscous_friction is None else gains.viscous_friction,
-    )
-    tolerated = law.D / (law.R * law.a)
-    if drive.torque_gain_error > tolerated:
-        message = InputError(
-            f"exceeds D/(R (R v + D)) = {tolerated:.3g}, the torque-channel error these gains tolerate; "
-            "lower R or raise D",
+    if not isinstance(law, JointGains):
+        raise InputError(
+            'has no R and D: this needs law = "virtual_passive"',
             file=file,
-            joint=gains.name,
-            quantity="torque_gain_error",
-            value=drive.torque_gain_error,
+            joint=law.name,
+            quantity="law",
+            value=law.law,
         )
-        warnings.warn(str(message), InputWarning, stacklevel=2)
-    block = add_position_loop(virtual_passive_block(law, config.period, config.form), gains.kp, gains.kd)
-    block["torque_limit"] = drive.torque_limit
-    block["rate_limit"] = drive.torque_rate_limit * config.period
-    block["blend"] = math.exp(-config.period / config.blend) if config.blend > 0 else 0.0
-    block["latency"] = config.latency
-    return block
+    return law
+
+
+def joint_block(law: Law, drive: Drive, config: ControllerConfig, *, file: object = None) -> NDArray[np.void]:
+    """The coefficient block of one joint, position loop and limits included: `Law.block`."""
+    return law.block(drive, config, file=file)
 
 
 class Inputs(NamedTuple):
@@ -229,6 +184,7 @@ class Controller:
             receives the torque to command now [N m]; the status is an or of `TORQUE_LIMITED`, `RATE_LIMITED`,
             `NOT_FINITE` (that joint holds its last torque) and `BLENDING`.
         core: The native object.
+        laws: What each block is, for tables; "block" where only its coefficients were given.
     """
 
     def __init__(
@@ -237,6 +193,7 @@ class Controller:
         joints: Sequence[str],
         period: float,
         sampling: Sampling = "average",
+        laws: Sequence[str] | None = None,
     ) -> None:
         if BLOCK_DTYPE.itemsize != _native.BLOCK_SIZE:
             raise RuntimeError("the native library was built from another version; reinstall dashpot")
@@ -263,6 +220,7 @@ class Controller:
                 if not valid:
                     raise InputError(rule, joint=name, quantity=key, value=block[key].item())
         self.joints = tuple(joints)
+        self.laws = tuple(laws) if laws is not None else ("block",) * len(self.joints)
         self.period = period
         self.sampling: Sampling = sampling
         self.core = _native.Core(self.blocks.view(np.uint8))
@@ -285,7 +243,8 @@ class Controller:
                     joint=gains.name,
                 )
         blocks = [joint_block(g, by_name[g.name], config, file=config.file) for g in config.joints]
-        return cls(np.array(blocks), [g.name for g in config.joints], config.period, config.sampling)
+        names, laws = [g.name for g in config.joints], [g.label for g in config.joints]
+        return cls(np.array(blocks), names, config.period, config.sampling, laws)
 
     def index(self, joint: str) -> int:
         """Position of a joint among the blocks.
@@ -311,7 +270,9 @@ class Controller:
         self.core.set_position_loop(self.index(joint), on)
 
     def warm_start(self, joint: str, velocity: float) -> None:
-        """Sets ``xc' = -velocity`` so that the brake bites at once; a later `set_mode` clears it again.
+        """Sets the law's velocity so that the brake bites at once; a later `set_mode` clears it again.
+
+        For the virtual passive law ``xc' = -velocity``. Laws without a velocity only end a mode's fading.
 
         Args:
             joint: Name of the joint.

@@ -10,7 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dashpot.plant import Plant
-from dashpot.sampled import IN_EFFECT, NX, POSITION, POSITION_REF, TORQUE, Floats
+from dashpot.sampled import (
+    IN_EFFECT,
+    NW,
+    NX,
+    POSITION,
+    POSITION_REF,
+    TORQUE,
+    TORQUE_REF,
+    Floats,
+    pd_block,
+)
 
 ITERATIONS, TOLERANCE = 200, 1e-10  # [rad]
 
@@ -38,6 +48,7 @@ def settle(
     blocks: NDArray[np.void],
     reference: Floats,
     bypass: Collection[str] = (),
+    torque_reference: Floats | None = None,
 ) -> Equilibrium | None:
     """Finds the rest position at a constant reference by iterating sag and gravity.
 
@@ -47,53 +58,85 @@ def settle(
         blocks: (nc,) records of `dashpot.sampled.BLOCK_DTYPE`.
         reference: (n,) [rad].
         bypass: Joints under their position loop alone.
+        torque_reference: (n,) [N m]; None: zero. Servos do not see it.
 
     Returns:
         The equilibrium, or None where a joint has no position loop to hold it, a drive is not strong enough,
         or the iteration does not settle.
     """
     drives, n = plant.drives, len(plant.drives)
-    gain = np.zeros((n, 3))  # static gain of the torque from [torque sample, torque in effect, position]
-    for i, drive in enumerate(drives):
-        gain[i, 2] = -drive["servo_kp"]
-    index = [plant.robot.index(name) for name in joints]
-    resolvent = []
-    for i, name, block in zip(index, joints, blocks, strict=True):
-        nx = int(block["nx"])
-        passive = name in bypass
-        solved = np.zeros((NX, block["B"].shape[1]))
-        if not passive:
-            try:
-                solved[:nx] = np.linalg.solve(np.eye(nx) - block["A"][:nx, :nx], block["B"][:nx])
-            except np.linalg.LinAlgError:
-                return None
-        static = block["bypass"] if passive else block["D"] + block["C"] @ solved
-        gain[i] = static[[TORQUE, IN_EFFECT, POSITION]]
-        resolvent.append(solved)
-    if not (gain[:, 2] < 0).all():
+    laws = {i: _Static.of(pd_block(float(drive["servo_kp"]), 0.0)) for i, drive in enumerate(drives)}
+    for name, block in zip(joints, blocks, strict=True):
+        laws[plant.robot.index(name)] = _Static.of(block, name in bypass)
+    inputs = np.zeros((n, NW))
+    inputs[:, POSITION_REF] = reference
+    if torque_reference is not None:
+        inputs[:, TORQUE_REF] = torque_reference
+    if not all(law.holds for law in laws.values()):
         return None
     data = mujoco.MjData(plant.model)
     rotor = np.array(reference, float)
-    deflection = np.zeros(n)
+    deflection, states = np.zeros(n), np.zeros((n, NX))
     for _ in range(ITERATIONS):
         data.qpos[plant.rotor_qpos], data.qpos[drives["spring_qpos"]] = rotor, deflection
         mujoco.mj_forward(plant.model, data)
         torque = np.array(data.qfrc_bias[plant.rotor_dof])
-        sample = drives["sensor_gain"] * torque + drives["sensor_bias"]
-        deflection = -torque / drives["stiffness"]
-        before = rotor
-        rotor = reference + (torque - gain[:, 0] * sample - gain[:, 1] * torque) / gain[:, 2]
+        inputs[:, TORQUE] = drives["sensor_gain"] * torque + drives["sensor_bias"]
+        inputs[:, IN_EFFECT] = torque
+        before = rotor, deflection
+        rotor, deflection = np.empty(n), -torque / drives["stiffness"]
+        for i, law in laws.items():
+            states[i], rotor[i] = law.at(inputs[i], torque[i])
         if not np.isfinite(rotor).all():
             return None
-        if np.abs(rotor - before).max() < TOLERANCE:
+        if max(np.abs(rotor - before[0]).max(), np.abs(deflection - before[1]).max()) < TOLERANCE:
             break
     else:
         return None
     if (np.abs(torque) > drives["torque_limit"]).any():
         return None
-    states = np.zeros((len(joints), NX))
-    for k, i in enumerate(index):
-        w = np.zeros(blocks["B"].shape[-1])
-        w[[TORQUE, IN_EFFECT, POSITION, POSITION_REF]] = sample[i], torque[i], rotor[i], reference[i]
-        states[k] = resolvent[k] @ w
-    return Equilibrium(rotor, deflection, torque, states)
+    controlled = [plant.robot.index(name) for name in joints]
+    return Equilibrium(rotor, deflection, torque, states[controlled])
+
+
+@dataclass(frozen=True)
+class _Static:
+    """A block at rest: ``x = A x + B w`` and ``torque = C x + D w``, to be solved for x and the position.
+
+    With an integrator x is not a function of w, but x and the position together are.
+
+    Attributes:
+        inverse: Of that system in (x, position), (nx + 1, nx + 1); None where it has no solution.
+        B: (nx, NW).
+        D: (NW,).
+    """
+
+    inverse: Floats | None
+    B: Floats
+    D: Floats
+
+    @classmethod
+    def of(cls, block: NDArray[np.void], bypass: bool = False) -> _Static:
+        nx = 0 if bypass else int(block["nx"])
+        B, D = block["B"][:nx], block["bypass"] if bypass else block["D"]
+        system = np.zeros((nx + 1, nx + 1))
+        system[:nx, :nx], system[:nx, nx] = np.eye(nx) - block["A"][:nx, :nx], -B[:, POSITION]
+        system[nx, :nx], system[nx, nx] = block["C"][:nx], D[POSITION]
+        try:
+            return cls(np.asarray(np.linalg.inv(system)), B, D)
+        except np.linalg.LinAlgError:
+            return cls(None, B, D)
+
+    @property
+    def holds(self) -> bool:
+        """Whether a position loop pulls the joint back: one over its static gain is negative, or zero."""
+        return self.inverse is not None and bool(self.inverse[-1, -1] <= np.finfo(float).eps)
+
+    def at(self, w: Floats, torque: float) -> tuple[Floats, float]:
+        """Block states (NX,) and position [rad] that give a torque [N m]; w is without position."""
+        if self.inverse is None:
+            raise ValueError("nothing holds this joint")
+        found = self.inverse @ np.append(self.B @ w, torque - self.D @ w)
+        states = np.zeros(NX)
+        states[: len(found) - 1] = found[:-1]
+        return states, float(found[-1])

@@ -73,7 +73,9 @@ def _start(scenario: Scenario, plant: Plant, core: Any, events: NDArray[np.void]
             modes[joints[event["joint"]]] = MODES[event["value"]]
     found = None
     if "off" not in modes.values():
-        found = settle(plant, joints, blocks, reference, [j for j, mode in modes.items() if mode == "bypass"])
+        bypass = [j for j, mode in modes.items() if mode == "bypass"]
+        torque = None if scenario.trajectory.torque is None else scenario.trajectory.torque[0]
+        found = settle(plant, joints, blocks, reference, bypass, torque)
     if found is None:
         data.qpos[plant.rotor_qpos] = reference
         return
@@ -103,6 +105,8 @@ def _check(scenario: Scenario) -> None:
     arrays = {
         f"trajectory {name}": getattr(trajectory, name) for name in ("position", "velocity", "acceleration")
     }
+    if trajectory.torque is not None:
+        arrays["trajectory torque [N m]"] = trajectory.torque
     if scenario.external is not None:
         arrays["external torque [N m]"] = scenario.external
     for quantity, array in arrays.items():
@@ -174,8 +178,9 @@ class Loop:
         self._model, self._data = plant.model, mujoco.MjData(plant.model)
         _start(scenario, plant, self._core, self._events, self._data)
         mujoco.mj_forward(self._model, self._data)
+        torque = np.zeros((self.ticks, n)) if trajectory.torque is None else trajectory.torque
         self._reference = np.stack(
-            [trajectory.position, trajectory.velocity, trajectory.acceleration, np.zeros((self.ticks, n))]
+            [trajectory.position, trajectory.velocity, trajectory.acceleration, torque]
         )
         external = scenario.external
         self._external = None if external is None else np.ascontiguousarray(external, float)

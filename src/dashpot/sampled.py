@@ -164,3 +164,11 @@ def pd_block(kp: float, kd: float) -> NDArray[np.void]:
     pd[[POSITION, VELOCITY, POSITION_REF, VELOCITY_REF, TORQUE_REF]] = -kp, -kd, kp, kd, 1.0
     block["D"] = block["bypass"] = pd
     return block
+
+
+def without_encoder(block: NDArray[np.void]) -> NDArray[np.void]:
+    """What is left of a block when the position loop is off: its inputs position ... torque_ref are zero."""
+    result = block.copy()
+    for key in ("B", "D", "bypass"):
+        result[key][..., POSITION:] = 0.0
+    return result

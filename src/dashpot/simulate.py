@@ -158,6 +158,9 @@ def simulate(
     seed: int = 0,
 ) -> Recording:
     """Builds the plant and the controller and runs once: the short way for one scenario."""
+    from dashpot.rivals.gravity import with_feedforward
+
+    trajectory = with_feedforward(robot, config, trajectory)
     plant = build(robot, trajectory.period, payloads)
     controller = Controller.from_config(config, robot.drives) if config else None
     return run(

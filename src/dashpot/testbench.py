@@ -15,7 +15,7 @@ import numpy as np
 from dashpot.certify.box import DRIVE
 from dashpot.certify.counterexample import Counterexample
 from dashpot.certify.loads import GRAVITY, Load
-from dashpot.controller import ControllerConfig, JointGains
+from dashpot.controller import ControllerConfig, JointGains, Law
 from dashpot.drive import Drive, InnerLoop, Servo
 from dashpot.recording import Recording
 from dashpot.sampled import Floats
@@ -33,7 +33,7 @@ def write(
     folder: Path,
     load: Load,
     drive: Drive,
-    gains: JointGains,
+    law: Law,
     config: ControllerConfig,
     point: Mapping[str, float] | None = None,
 ) -> tuple[Path, Path]:
@@ -43,7 +43,7 @@ def write(
         folder: Made where it is not there.
         load: Its stiffness becomes a weight below the axis: M g r, the same for small angles.
         drive: The joint's drive.
-        gains: Its gains.
+        law: Its law.
         config: The controller they belong to.
         point: Values to simulate instead of the nominal ones, as in `dashpot.certify.box.POINTS`; the law
             keeps resting on the nominal drive.
@@ -70,13 +70,7 @@ def write(
         f"[[joint]]\n{_toml(actual)}",
         encoding="utf-8",
     )
-    law = replace(
-        gains,
-        kp=gains.kp * position,
-        kd=gains.kd * position,
-        rotor_inertia=drive.rotor_inertia if gains.rotor_inertia is None else gains.rotor_inertia,
-        viscous_friction=drive.viscous_friction if gains.viscous_friction is None else gains.viscous_friction,
-    )
+    law = law.stated(drive).scaled_position(position)
     controller.write_text(
         f'period = {config.period!r}\nlatency = {config.latency}\nsampling = "{config.sampling}"\n'
         f'form = "{config.form}"\n\n[[joint]]\n{_toml(law)}',
@@ -85,7 +79,7 @@ def write(
     return robot, controller
 
 
-def _toml(record: Drive | JointGains) -> str:
+def _toml(record: Drive | Law) -> str:
     lines = []
     for f in fields(record):
         value = getattr(record, f.name)
@@ -100,6 +94,8 @@ def _toml(record: Drive | JointGains) -> str:
             lines.append(f"{f.name} = {{ {inner} }}")
         elif isinstance(value, str):
             lines.append(f"{f.name} = {json.dumps(value, ensure_ascii=False)}")  # a TOML string as well
+            if f.name == "name" and isinstance(record, Law) and record.law != JointGains.law:
+                lines.append(f'law = "{record.law}"')
         else:
             lines.append(f"{f.name} = {value if isinstance(value, int) else float(value)!r}")
     return "\n".join(lines) + "\n"
@@ -154,7 +150,7 @@ class Replay:
     recording: Recording
 
 
-def replay(robot: Path, controller: Path, expected: Counterexample) -> Replay:
+def replay(robot: Path, controller: Path, expected: Counterexample, steps: int = 1) -> Replay:
     """Knocks the load of a written bench and watches the oscillation before anything saturates.
 
     Friction, limits and sensor noise act. Friction damps a small oscillation more than a large one: where it
@@ -164,6 +160,8 @@ def replay(robot: Path, controller: Path, expected: Counterexample) -> Replay:
         robot: As `write` wrote it.
         controller: As `write` wrote it.
         expected: What was predicted.
+        steps: Of the engine per period, at least. Its half-step shifts count where a law all but cancels the
+            rotor and lives from the delay that is left.
     """
     from dashpot.controller import Controller
     from dashpot.plant import build
@@ -177,7 +175,7 @@ def replay(robot: Path, controller: Path, expected: Counterexample) -> Replay:
     swinging = abs(load.inertia * omega - load.stiffness / omega)
     stiff = max(swinging, math.sqrt(drive.stiffness * drive.rotor_inertia))
     path = hold([0.0], min(max(3 * CYCLES / expected.frequency, 8 / expected.growth), LONGEST), period)
-    plant = build(arm, period)
+    plant = build(arm, period / steps)
     every = max(1, round(1 / (expected.frequency * period * SAMPLED)))
     room = HOT * math.exp(-CYCLES * expected.growth / expected.frequency)
     for share in (room, *KNOCKS):
@@ -223,12 +221,14 @@ def suggested_tap(drive: Drive, expected: Counterexample) -> float:
     return 0.05 * drive.torque_limit / lightest * inertia / KNOCK
 
 
-def hidden(drive: Drive, gains: JointGains, expected: Counterexample) -> bool:
+def hidden(drive: Drive, law: Law, expected: Counterexample) -> bool:
     """Whether Coulomb friction may take out more than an oscillation gains, up to the torque limit.
 
-    Prediction and certificate are without it. As the law shows it, it takes (2/pi) (1 + R) tau_c |q'| on
-    average, where the oscillation gains growth J q'^2.
+    Prediction and certificate are without it. As the law shows it, 1 + R times as large under the virtual
+    passive one, it takes (2/pi) (1 + R) tau_c |q'| on average, where the oscillation gains growth J q'^2.
     """
-    balance = 2 / math.pi * (1 + gains.R) * drive.coulomb_friction
+    if drive.coulomb_friction == 0:
+        return False
+    balance = 2 / math.pi * law.friction_factor(drive) * drive.coulomb_friction
     torque = 0.5 * drive.torque_limit  # J omega q'
     return balance > expected.growth * torque / (2 * math.pi * max(expected.frequency, 1e-3))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ class Trajectory:
         velocity: (ticks, n) [rad/s].
         acceleration: (ticks, n) [rad/s^2].
         start: Time of the first tick [s]; negative times are a lead-in at rest.
+        torque: Torque reference, added to the position loop's torque, (ticks, n) [N m]; None: zero.
     """
 
     period: float
@@ -29,6 +30,7 @@ class Trajectory:
     velocity: Floats
     acceleration: Floats
     start: float = 0.0
+    torque: Floats | None = None
 
     @property
     def time(self) -> Floats:
@@ -38,8 +40,12 @@ class Trajectory:
     def until(self, time: float) -> Trajectory:
         """The part before a time [s]."""
         keep = int(np.searchsorted(self.time, time - 1e-9))
-        return Trajectory(
-            self.period, self.position[:keep], self.velocity[:keep], self.acceleration[:keep], self.start
+        return replace(
+            self,
+            position=self.position[:keep],
+            velocity=self.velocity[:keep],
+            acceleration=self.acceleration[:keep],
+            torque=None if self.torque is None else self.torque[:keep],
         )
 
 

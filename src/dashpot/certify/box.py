@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from dashpot.certify.exact import holds
 from dashpot.certify.index import Index, passivity_index
-from dashpot.certify.joint import Scales, sampled_joint, uses
+from dashpot.certify.joint import Scales, holds_torque, sampled_joint, uses
 from dashpot.certify.shadow import with_shadow
 from dashpot.certify.threads import one_thread
 from dashpot.drive import Drive
@@ -156,6 +156,10 @@ def certify_box(
         InputError: A coefficient is not finite, or the sensor's latency is not a whole number of samples.
     """
     box = Box.of(drive, block, latency_max)
+    if holds_torque(block):
+        point = box.centre | {"latency": float(block["latency"])}
+        found = passivity_index(drive, block, sampling, period)
+        return BoxCertificate(False, found, point, 0, found.reason)
     point, worst = worst_point(box, drive, block, sampling, period)
     if not worst.passive:
         return BoxCertificate(False, worst, point, 0, worst.reason)

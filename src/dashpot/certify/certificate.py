@@ -6,7 +6,7 @@ import math
 import sys
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from dashpot.certify.box import POINTS, BoxCertificate, at, certify_box
 from dashpot.certify.counterexample import Counterexample, counterexample
 from dashpot.certify.index import Index, passivity_index
-from dashpot.certify.joint import sampled_joint
+from dashpot.certify.joint import holds_torque, sampled_joint, uses
 from dashpot.certify.threads import one_thread
-from dashpot.controller import SLIGHT, ControllerConfig, JointGains, joint_block
+from dashpot.controller import SLIGHT, ControllerConfig, Law, joint_block
 from dashpot.drive import Drive
 from dashpot.errors import InputError, InputWarning
 from dashpot.robot import Robot
-from dashpot.sampled import empty_block
+from dashpot.sampled import POSITION, VELOCITY, empty_block, without_encoder
 
 DOCUMENT = "docs/certificate.md"
 STATEMENT = (
@@ -41,9 +41,10 @@ class JointCertificate:
         nominal: Index with the drive's nominal values.
         bare: Index of the drive without a controller [N m s/rad].
         box: Over the box of the drive's uncertainty.
-        brake: The same without position loop, as when the encoder is lost; None where there is none.
+        brake: The same without position loop, as when the encoder is lost; None where that changes nothing.
         counterexample: A load that oscillates where the verdict is no, or None.
         point: Drive values at which it does: nominal, or the worst point of the box.
+        trouble: How such a law is known to give out energy, in words, or empty.
     """
 
     name: str
@@ -53,6 +54,7 @@ class JointCertificate:
     brake: BoxCertificate | None
     counterexample: Counterexample | None
     point: Mapping[str, float]
+    trouble: str = ""
 
     @property
     def certified(self) -> bool:
@@ -75,7 +77,7 @@ class JointCertificate:
             return f"at the worst point: {self.box.worst.reason}"
         if self.box.worst.value > 0:
             return self.box.reason
-        return "the joint gives out energy at its worst frequency"
+        return "the joint gives out energy at its worst frequency" + (self.trouble and f": {self.trouble}")
 
 
 @dataclass(frozen=True)
@@ -113,8 +115,8 @@ def certify_arm(robot: Robot, config: ControllerConfig) -> Certificate:
     return Certificate(robot.name, joints, tuple(name for name in robot.joints if name not in controlled))
 
 
-def paired(robot: Robot, config: ControllerConfig) -> list[tuple[Drive, JointGains]]:
-    """Drive and gains of every controlled joint, base to tip.
+def paired(robot: Robot, config: ControllerConfig) -> list[tuple[Drive, Law]]:
+    """Drive and law of every controlled joint, base to tip.
 
     Raises:
         InputError: A joint of the controller is not one of the robot.
@@ -145,29 +147,30 @@ def paired(robot: Robot, config: ControllerConfig) -> list[tuple[Drive, JointGai
 
 
 @one_thread
-def certify_joint(drive: Drive, gains: JointGains, config: ControllerConfig) -> JointCertificate:
+def certify_joint(drive: Drive, gains: Law, config: ControllerConfig) -> JointCertificate:
     """Certifies one joint of a controller file."""
     block = block_of(drive, gains, config)
     sampling, period = config.sampling, config.period
     nominal = passivity_index(drive, block, sampling, period)
     box = certify_box(drive, block, sampling, period, config.latency_max)
     brake = None
-    if gains.kp or gains.kd:
-        released = block_of(drive, replace(gains, kp=0.0, kd=0.0), config)
-        brake = certify_box(drive, released, sampling, period, config.latency_max)
+    if not gains.keeps_encoder and (uses(block, POSITION) or uses(block, VELOCITY)):
+        brake = certify_box(drive, without_encoder(block), sampling, period, config.latency_max)
     point = {name: _nominal(name, drive, config) for name in POINTS}
     load = None
-    if not nominal.passive:
+    if holds_torque(block):
+        pass  # nothing oscillates
+    elif not nominal.passive:
         load = counterexample(sampled_joint(drive, block, sampling, period), drive)
     elif not box.proven:
         point = dict(box.point)
         there, scales = at(drive, point)
         load = counterexample(sampled_joint(there, block, sampling, period, scales), there)
     bare = passivity_index(drive, empty_block(), sampling, period).value
-    return JointCertificate(drive.name, nominal, bare, box, brake, load, point)
+    return JointCertificate(drive.name, nominal, bare, box, brake, load, point, gains.trouble(drive))
 
 
-def block_of(drive: Drive, gains: JointGains, config: ControllerConfig) -> NDArray[np.void]:
+def block_of(drive: Drive, gains: Law, config: ControllerConfig) -> NDArray[np.void]:
     """`joint_block` without its warning of a torque-channel error, which the certificate covers."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)

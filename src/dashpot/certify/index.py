@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dashpot.certify.exact import Rest, at_rest, crossings, positive, quadratic_form, unfit
-from dashpot.certify.joint import SampledJoint, Scales, sampled_joint
+from dashpot.certify.joint import SampledJoint, Scales, holds_torque, sampled_joint
 from dashpot.certify.port import Port, lift, without_equilibria
 from dashpot.certify.threads import one_thread
 from dashpot.drive import Drive
-from dashpot.sampled import Floats
+from dashpot.sampled import Floats, empty_block
 
 COARSE_INTERVALS, FIRST_INTERVALS, MOST_INTERVALS = 4, 8, 64
 SETTLED = 0.01  # relative difference between N intervals and the limit at which N is enough
@@ -30,6 +30,10 @@ AROUND = np.array([-3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0])  # a pole, in its dist
 NO_DAMPING = (
     "without transmission damping nothing is left at high frequency: give `damping` in the robot file; a low "
     "guess is the safe one"
+)
+CONSTANT_TORQUE = (
+    "it holds a constant torque, which drives whatever yields (a free load up to torque over friction); by "
+    "itself it makes nothing oscillate"
 )
 BEYOND = "its numbers are too large, too small or too far apart to be judged"
 
@@ -86,6 +90,9 @@ def passivity_index(
     Raises:
         InputError: A coefficient is not finite, or the sensor's latency is not a whole number of samples.
     """
+    if holds_torque(block):
+        bare = passivity_index(drive, empty_block(), sampling, period)
+        return replace(bare, decided=False, reason=CONSTANT_TORQUE)
     joint = sampled_joint(drive, block, sampling, period, scales)
     with np.errstate(all="ignore"):
         try:

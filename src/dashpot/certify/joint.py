@@ -84,6 +84,24 @@ def uses(block: NDArray[np.void], channel: int) -> bool:
     return bool(block["D"][channel] != 0 or np.any(block["B"][: int(block["nx"]), channel] != 0))
 
 
+def holds_torque(block: NDArray[np.void]) -> bool:
+    """Whether a block reads nothing of the joint, and keeps the torque it once had for ever.
+
+    An integrator cut off from its input, or torque in effect fed back with gain one: a pole at z = 1 that
+    nothing in the joint moves. What moves then is the bare drive under a constant torque.
+    """
+    if any(uses(block, channel) for channel in (TORQUE, POSITION, VELOCITY)):
+        return False
+    nx, kept = int(block["nx"]), int(block["latency"]) + 1 if uses(block, IN_EFFECT) else 0
+    A = np.zeros((nx + kept, nx + kept))
+    A[:nx, :nx] = block["A"][:nx, :nx]
+    if kept:  # past commands; the oldest is in effect
+        A[:nx, -1] = block["B"][:nx, IN_EFFECT]
+        A[nx, :nx], A[nx, -1] = block["C"][:nx], block["D"][IN_EFFECT]
+        A[range(nx + 1, nx + kept), range(nx, nx + kept - 1)] = 1.0
+    return bool(len(A) and np.isfinite(A).all() and (np.abs(np.linalg.eigvals(A) - 1) < 1e-9).any())
+
+
 def _unit_of(values: Floats) -> float:
     size = float(np.abs(values).max(initial=0.0))
     return size if size > 0 and np.isfinite(size) else 1.0

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from dashpot.certify.certificate import Certificate, JointCertificate, certify_joint, paired
 from dashpot.commands.shared import file_names, progress
-from dashpot.controller import ControllerConfig, JointGains, load_controller
+from dashpot.controller import ControllerConfig, JointGains, Law, gains_of, load_controller
 from dashpot.drive import Drive
 from dashpot.errors import InputError
 from dashpot.output import whole_folder
@@ -71,7 +71,11 @@ def map_gains(options: Map) -> int:
             raise InputError(
                 f"not controlled; controlled: {', '.join(known)}", quantity="--joint", value=name
             )
-    chosen = [pair for pair in pairs if not options.joint or pair[0].name in options.joint]
+    if options.joint or not any(isinstance(law, JointGains) for _, law in pairs):
+        named = [pair for pair in pairs if not options.joint or pair[0].name in options.joint]
+        chosen = [(drive, gains_of(law, file=config.file)) for drive, law in named]
+    else:
+        chosen = [(drive, law) for drive, law in pairs if isinstance(law, JointGains)]
     files = file_names(known)
     with progress("mapping", len(chosen)) as advance, whole_folder(options.out) as folder:
         for drive, gains in chosen:
@@ -87,12 +91,16 @@ def map_gains(options: Map) -> int:
             highlight=False,
             markup=False,
         )
+    mapped = {drive.name for drive, _ in chosen}
+    for drive, law in pairs if not options.joint else ():
+        if drive.name not in mapped:
+            console.print(
+                f'{drive.name}: law "{law.law}" has no R and D, no map', highlight=False, markup=False
+            )
     return 0
 
 
-def _keep(
-    place: Path, joint: JointCertificate, drive: Drive, gains: JointGains, config: ControllerConfig
-) -> None:
+def _keep(place: Path, joint: JointCertificate, drive: Drive, gains: Law, config: ControllerConfig) -> None:
     """Writes a joint's picture and the bench on which its counter-example runs."""
     from dashpot.commands.certify_plots import draw
     from dashpot.plots import save

@@ -10,17 +10,20 @@ from numpy.typing import NDArray
 
 from dashpot.certify.box import Box, at
 from dashpot.certify.certificate import JointCertificate, block_of
-from dashpot.certify.joint import Scales, sampled_joint
+from dashpot.certify.exact import at_rest, unfit
+from dashpot.certify.index import settled
+from dashpot.certify.joint import Scales, holds_torque, sampled_joint
 from dashpot.certify.loads import loops
 from dashpot.certify.map import IndexMap, index_map
 from dashpot.certify.threads import one_thread
-from dashpot.controller import ControllerConfig, JointGains
+from dashpot.controller import ControllerConfig, JointGains, Law
 from dashpot.drive import Drive
 from dashpot.plots import BLACK, BLUE, VERMILLION, Figure, new_figure
-from dashpot.sampled import Floats, VirtualPassive, virtual_passive_block
+from dashpot.sampled import Floats, VirtualPassive, empty_block, virtual_passive_block
 
 DECADES = 1.5  # of gains shown on each side of the current ones
 LOADS = np.geomspace(1e-2, 1e3, 240)  # inertias of the window, relative to the rotor's
+LOWEST, INTERVALS = 1e-4, 16  # [rad per period] least angle, sub-intervals of the surplus over frequency
 SLOWEST = 1e-4  # [rad per period] below which a mode is no oscillation
 
 
@@ -45,8 +48,7 @@ def gain_map(
         scales: Of the signal path; None: nominal.
         tried: See `index_map`.
     """
-    m = drive.rotor_inertia if gains.rotor_inertia is None else gains.rotor_inertia
-    v = drive.viscous_friction if gains.viscous_friction is None else gains.viscous_friction
+    m, v = gains.model(drive)
     latency = config.latency
 
     def block(R: float, D: float) -> NDArray[np.void]:
@@ -72,15 +74,40 @@ def draw_map(found: IndexMap, drive: Drive, gains: JointGains, config: Controlle
     """The map alone."""
     figure, axes = new_figure(1, 1, 6.6, 5.4)
     _map(axes[0, 0], found, gains, figure)
-    axes[0, 0].set_title(f"{drive.name}: {_loop(gains)}, {config.form} form", parse_math=False)
+    axes[0, 0].set_title(f"{drive.name}: {gains.text}, {config.form} form", parse_math=False)
     return figure
 
 
-def draw(
-    joint: JointCertificate, drive: Drive, gains: JointGains, config: ControllerConfig, points: int
-) -> Figure:
-    """The map with the current point, and the damping of the joint with every inertia."""
+def draw(joint: JointCertificate, drive: Drive, law: Law, config: ControllerConfig, points: int) -> Figure:
+    """The map with the current point, or the port's damping over frequency; and that with every inertia."""
     figure, axes = new_figure(1, 2, 11.0, 4.6, width_ratios=(1.15, 1))
+    if isinstance(law, JointGains):
+        _plane(axes[0, 0], joint, drive, law, config, points, figure)
+        axes[0, 0].set_title(f"{law.text}, {config.form} form")
+    else:
+        _surplus(axes[0, 0], joint, drive, law, config)
+        constant = holds_torque(block_of(drive, law, config))
+        text = law.text + (", around the torque it holds" if constant else "")
+        axes[0, 0].set_title(text, parse_math=False)
+    _window(axes[0, 1], joint, drive, law, config)
+    verdict = "certified" if joint.certified else "not certified"
+    figure.suptitle(
+        f"{joint.name}: {verdict}, index {_number(joint.nominal.value)} nominal, "
+        f"{_number(joint.box.worst.value)} at worst [N m s/rad]",
+        parse_math=False,
+    )
+    return figure
+
+
+def _plane(
+    axis: Any,
+    joint: JointCertificate,
+    drive: Drive,
+    gains: JointGains,
+    config: ControllerConfig,
+    points: int,
+    figure: Figure,
+) -> None:
     found = gain_map(drive, gains, config, points)
     there, scales = at(drive, joint.box.point)
     worst = None
@@ -91,26 +118,11 @@ def draw(
         worst = gain_map(
             drive, gains, config, points, there=there, scales=replace(scales, latency=None), tried=0
         )
-    _map(axes[0, 0], found, gains, figure, worst)
-    axes[0, 0].set_title(f"{_loop(gains)}, {config.form} form")
-    _window(axes[0, 1], joint, drive, gains, config)
-    verdict = "certified" if joint.certified else "not certified"
-    figure.suptitle(
-        f"{joint.name}: {verdict}, index {_number(joint.nominal.value)} nominal, "
-        f"{_number(joint.box.worst.value)} at worst [N m s/rad]",
-        parse_math=False,
-    )
-    return figure
+    _map(axis, found, gains, figure, worst)
 
 
 def _number(value: float) -> str:
     return f"{value:.2g}" if np.isfinite(value) else "-inf"
-
-
-def _loop(gains: JointGains) -> str:
-    if gains.kp == gains.kd == 0:
-        return f"Brake, K = {gains.K:g}"
-    return f"Tracking, kp = {gains.kp:g}, kd = {gains.kd:g}, K = {gains.K:g}"
 
 
 def _map(
@@ -207,18 +219,57 @@ def _legend(found: IndexMap, worst: IndexMap | None) -> list[Any]:
     return handles
 
 
-def _window(
-    axis: Any, joint: JointCertificate, drive: Drive, gains: JointGains, config: ControllerConfig
-) -> None:
-    """Damping ratio of the least damped oscillation against the load's inertia."""
-    block = block_of(drive, gains, config)
-    inertias = np.maximum(LOADS * drive.rotor_inertia, drive.link_inertia)
+Curve = tuple[str, Drive, Scales, str, str]
+
+
+def _curves(joint: JointCertificate, drive: Drive, config: ControllerConfig) -> list[Curve]:
+    """Label, drive, signal path, colour and dash of the nominal joint and of its worst point."""
     curves = [("nominal drive", drive, Scales(), BLUE, "-")]
     there, scales = at(drive, joint.box.point)
     if there != replace(drive, uncertainty={}) or scales != Scales(latency=config.latency):
         curves.append(("worst point of the box", there, scales, VERMILLION, "--"))
+    return curves
+
+
+def _surplus(axis: Any, joint: JointCertificate, drive: Drive, law: Law, config: ControllerConfig) -> None:
+    """Damping the port shows over frequency: below zero it gives out energy."""
+    block = block_of(drive, law, config)
+    block = empty_block() if holds_torque(block) else block
+    angles = np.geomspace(LOWEST, np.pi, 400)
+    frequency = angles / (2 * np.pi * config.period)
+    lowest, highest = 0.0, drive.damping
+    for label, actual, path, colour, dash in _curves(joint, drive, config):
+        found = sampled_joint(actual, block, config.sampling, config.period, path)
+        rest = at_rest(found)
+        reason = unfit(rest)
+        if reason:
+            axis.plot([], [], dash, color=colour, label=f"{label}: unstable, link held")
+            continue
+        damping = settled(found, rest, INTERVALS).least_damping(angles) + actual.link_friction
+        axis.plot(frequency, damping, dash, color=colour, label=label)
+        lowest, highest = min(lowest, float(damping.min())), max(highest, float(damping.max()))
+    linear = max(drive.damping, 1e-3 * max(highest, -lowest))
+    axis.set_xscale("log")
+    if max(highest, -lowest) > 10 * linear:
+        axis.set_yscale("symlog", linthresh=linear)
+    bottom = 2 * lowest if lowest < -linear else lowest - 0.3 * linear
+    axis.axhspan(bottom, 0, color=VERMILLION, alpha=0.12, lw=0)
+    axis.axhline(0, color=BLACK, lw=0.8)
+    axis.text(
+        0.02, 0.02, "gives out energy", transform=axis.transAxes, color=VERMILLION, va="bottom", fontsize=9
+    )
+    axis.set(xlabel="frequency of the motion at the port [Hz]", ylabel="damping at the port [N m s/rad]")
+    axis.set_xlim(frequency[0], frequency[-1])
+    axis.set_ylim(bottom, 1.5 * highest)
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2, fontsize=8.5)
+
+
+def _window(axis: Any, joint: JointCertificate, drive: Drive, law: Law, config: ControllerConfig) -> None:
+    """Damping ratio of the least damped oscillation against the load's inertia."""
+    block = block_of(drive, law, config)
+    inertias = np.maximum(LOADS * drive.rotor_inertia, drive.link_inertia)
     lowest = highest = 0.0
-    for label, actual, path, colour, dash in curves:
+    for label, actual, path, colour, dash in _curves(joint, drive, config):
         ratio, _ = damping_ratio(actual, block, config, inertias, path)
         axis.plot(inertias, ratio, dash, color=colour, label=label)
         if np.isfinite(ratio).any():

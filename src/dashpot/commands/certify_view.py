@@ -14,7 +14,7 @@ from rich.table import Table
 from dashpot.certify.box import DRIVE
 from dashpot.certify.certificate import DOCUMENT, STATEMENT, Certificate, JointCertificate
 from dashpot.commands.shared import file_names, new_table
-from dashpot.controller import JointGains
+from dashpot.controller import Law
 from dashpot.drive import Drive
 from dashpot.testbench import hidden, suggested_tap
 
@@ -31,7 +31,7 @@ SHORT = {
 
 
 def show(
-    certificate: Certificate, pairs: list[tuple[Drive, JointGains]], options: Certify, out: Path | None
+    certificate: Certificate, pairs: list[tuple[Drive, Law]], options: Certify, out: Path | None
 ) -> None:
     """Prints verdicts, worst points, loads that oscillate, and what the certificate rests on."""
     console = Console()
@@ -104,9 +104,7 @@ def _table(certificate: Certificate, options: Certify) -> Table:
     return table
 
 
-def _explain(
-    console: Console, joint: JointCertificate, drive: Drive, gains: JointGains, bench: Path | None
-) -> None:
+def _explain(console: Console, joint: JointCertificate, drive: Drive, gains: Law, bench: Path | None) -> None:
     console.print(f"[red]{escape(joint.name)}[/]: {escape(joint.reason)}", highlight=False)
     load = joint.counterexample
     if load is None:

@@ -20,6 +20,8 @@ from dashpot.payload import Payload
 from dashpot.plant import Plant, build, with_payload
 from dashpot.plots import save
 from dashpot.recording import Recording
+from dashpot.release import release_events, tracking_events
+from dashpot.rivals.gravity import with_feedforward
 from dashpot.robot import MAX_ANGLE, Robot
 from dashpot.simulate import Event, Scenario, run
 from dashpot.testbench import tap
@@ -50,14 +52,16 @@ def simulate(options: Simulate) -> int:
     # A log stands for the real thing, whose friction and damping do not depend on a time step.
     step = config.period if options.log is None else config.period / math.ceil(config.period / LOGGED)
     plant = build(robot, step, [payload] if payload.mass > 0 else [])
-    path = _path(options, robot, config.period)
+    path = with_feedforward(robot, config, _path(options, robot, config.period))
     _warn_of_range(plant, path, options)
     _warn_of_saturation(plant, path, payload)
     faults, changes = read_faults(options.fault), read_changes(options.payload_at, payload)
     for change in changes:
         if change.payload is not None:
             _warn_of_saturation(with_payload(plant, change.payload, config.period), path, change.payload)
-    events = [Event(path.start, joint, "mode", "bypass") for joint in options.bypass]
+    bypassed = controller.joints if "all" in options.bypass else options.bypass
+    events = [Event(path.start, joint, "mode", "bypass") for joint in bypassed]
+    events += tracking_events(config, path.start, bypassed)
     if options.release is not None:
         if not path.time[0] <= options.release <= path.time[-1]:  # also catches NaN
             raise InputError(
@@ -65,7 +69,7 @@ def simulate(options: Simulate) -> int:
                 quantity="--release [s]",
                 value=options.release,
             )
-        events.append(Event(options.release, "all", "position_loop", False))
+        events += release_events(config, options.release, bypassed)
     with whole_folder(options.out) as folder:
         external = tap(path, len(robot.drives), options.tap) if options.tap else None
         recording = _run(

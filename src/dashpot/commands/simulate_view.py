@@ -69,7 +69,9 @@ def show(
         found = vibration(sensed[before], controller.period)
     oscillating = []
     for j, drive in enumerate(robot.drives):
-        kind = "servo" if drive.name not in controller.joints else "VPC"
+        kind = "servo"
+        if drive.name in controller.joints:
+            kind = controller.laws[controller.index(drive.name)]
         kind = "bypassed" if _bypassed(drive.name, options) else kind
         largest, used, shaken = "-", "-", "-"
         if len(torque):

@@ -57,7 +57,7 @@ def wanted(robot: Robot, hand: ControllerConfig, share: float, **means: Any) -> 
     )
     spec = replace(spec, wishes={**spec.wishes, "damping_ratio": 0.3, "authority": None}).changed(**means)
     own: dict[str, dict[str, float]] = {}
-    for duty, joint in zip(duties(robot, spec), hand.joints, strict=True):
+    for duty, joint in zip(duties(robot, spec), hand.gains, strict=True):
         gains = Gains.from_joint(joint)
         judged = JointSearch(duty, spec.of(duty.drive.name), True).assured
         values = {
@@ -104,7 +104,7 @@ def stop_angle(
     from the same motion.
     """
     chosen = [robot.index(joint.name) for joint in config.joints]
-    pairs = zip(config.joints, like.joints, strict=True)
+    pairs = zip(config.gains, like.gains, strict=True)
     moved = replace(config, joints=tuple(replace(ours, kp=p.kp, kd=p.kd) for ours, p in pairs))
     events = [
         Event(0.0, "all", "mode", "bypass"),

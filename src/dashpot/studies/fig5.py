@@ -131,7 +131,7 @@ def run(seeds: int = 10, threads: int | None = None) -> Fig5:
         row["after_pull"] = float(np.abs(angle[after:rest] - angle[after]).max())
         rows.append(row)
     columns = {name: np.array([row[name] for row in rows]).reshape(len(PAYLOADS), seeds) for name in rows[0]}
-    drive, gains = s.robot.drives[j], s.config.joints[-1]
+    drive, gains = s.robot.drives[j], s.config.gains[-1]
     short = float(static_R(gains.R, gains.D, 0.0, drive.viscous_friction))
     first = range(0, len(cases), seeds)
     return Fig5(

@@ -112,7 +112,7 @@ def run(seeds: int = 10, threads: int | None = None) -> Fig6:
     high = search_high_gain()
     controllers = {True: s.controller(high.high, "explicit"), False: s.controller(high.low, "explicit")}
     resonant = load_controller("k807-resonant")
-    controller = s.controller(resonant.joints)
+    controller = s.controller(resonant.gains)
     j = s.robot.index(high.joint)
 
     scenarios = []
@@ -139,7 +139,7 @@ def run(seeds: int = 10, threads: int | None = None) -> Fig6:
     return Fig6(
         high,
         high_rms,
-        describe_resonance(s, resonant.joints),
+        describe_resonance(s, resonant.gains),
         rms,
         _window(s, controller),
         slow["5 lb"][0].time,

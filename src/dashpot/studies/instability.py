@@ -126,7 +126,7 @@ def wrist_gains(s: Setup, values: Floats) -> tuple[JointGains, ...]:
         JointGains(g.name, **{k: float(x) for k, x in zip(KEYS, rows[g.name], strict=True)})
         if g.name in rows
         else g
-        for g in s.config.joints
+        for g in s.config.gains
     )
 
 

@@ -24,6 +24,7 @@ from dashpot.release import release_events, tracking_events
 from dashpot.rivals.gravity import with_feedforward
 from dashpot.robot import MAX_ANGLE, Robot
 from dashpot.simulate import Event, Scenario, run
+from dashpot.supervisor import SupervisorSettings
 from dashpot.testbench import tap
 from dashpot.trajectory import Trajectory, hold, multisine
 
@@ -82,6 +83,7 @@ def simulate(options: Simulate) -> int:
                 options.seed,
                 faults=faults,
                 payload_changes=changes,
+                supervisor=SupervisorSettings() if options.supervise else None,
             )
         )
         recording.settings |= {
@@ -91,7 +93,7 @@ def simulate(options: Simulate) -> int:
             "tap_nm": options.tap,
         }
         recording.save(folder / "recording.npz")
-        marked = marks(robot, faults, changes)
+        marked = marks(robot, faults, changes, recording)
         save(draw(recording, controller, options, marked), folder / "simulate")
     if options.log is not None:
         log = from_recording(

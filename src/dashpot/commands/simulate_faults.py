@@ -17,7 +17,8 @@ from rich.table import Table
 from dashpot.errors import InputError
 from dashpot.faults import KINDS, Fault
 from dashpot.payload import Payload
-from dashpot.plots import GREEN, PURPLE
+from dashpot.plots import BLACK, GREEN, PURPLE
+from dashpot.recording import Recording
 from dashpot.robot import Robot
 from dashpot.simulate import PayloadChange
 
@@ -45,6 +46,16 @@ class Mark:
     end: float
     size: str
     meaning: str
+
+    @property
+    def decision(self) -> bool:
+        """Whether it is one of the supervisor."""
+        return self.what.startswith("->")
+
+    @property
+    def colour(self) -> str:
+        """Of its letter."""
+        return GREEN if self.what == "payload" else BLACK if self.decision else PURPLE
 
 
 def read_faults(texts: Sequence[str]) -> list[Fault]:
@@ -78,8 +89,10 @@ def read_changes(texts: Sequence[str], like: Payload) -> list[PayloadChange]:
     return changes
 
 
-def marks(robot: Robot, faults: Sequence[Fault], changes: Sequence[PayloadChange]) -> list[Mark]:
-    """Faults and changes in the order of time, each with a letter."""
+def marks(
+    robot: Robot, faults: Sequence[Fault], changes: Sequence[PayloadChange], recording: Recording
+) -> list[Mark]:
+    """Faults, changes and what a supervisor decided in the order of time, each with a letter."""
     found: list[tuple[Any, ...]] = [
         (fault.kind, fault.joint, fault.start, fault.end, _size(fault, robot), KINDS[fault.kind].meaning)
         for fault in faults
@@ -88,8 +101,28 @@ def marks(robot: Robot, faults: Sequence[Fault], changes: Sequence[PayloadChange
         mass = change.payload.mass if change.payload else 0.0
         meaning = "on the flange from then on" if mass else "the flange has let go"
         found.append(("payload", "all", change.time, math.inf, f"{mass:g} kg", meaning))
+    found += _decided(recording)
     found.sort(key=lambda mark: mark[2])
     return [Mark(_letter(i), *mark) for i, mark in enumerate(found)]
+
+
+def _decided(recording: Recording) -> list[tuple[Any, ...]]:
+    """A supervisor's decisions; those of several joints at one tick for one reason are one."""
+    said: Any = recording.settings.get("supervisor", {"decisions": []})
+    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    for decision in said["decisions"]:
+        key = decision["tick"], decision["reason"], decision["after"]
+        groups.setdefault(key, []).append(decision)
+    rows = []
+    for decisions in groups.values():
+        first = decisions[0]
+        joint = first["joint"] if len(decisions) == 1 and first["joint"] else "all"
+        unit = f" {first['unit']}" if first["unit"] else ""
+        size = (
+            f"{first['value']:.3g} > {first['threshold']:.3g}{unit}" if math.isfinite(first["value"]) else ""
+        )
+        rows.append((f"-> {first['after']}", joint, first["time"], math.inf, size, first["words"]))
+    return rows
 
 
 def _letter(i: int) -> str:
@@ -113,7 +146,7 @@ def _size(fault: Fault, robot: Robot) -> str:
 def listed(found: Sequence[Mark]) -> Table:
     """The marks as a table."""
     table = Table(
-        title="What fails, and what the flange carries",
+        title="What fails, what the flange carries, what the supervisor decides",
         title_justify="left",
         box=SIMPLE_HEAD,
         show_edge=False,
@@ -127,7 +160,7 @@ def listed(found: Sequence[Mark]) -> Table:
     table.add_column("meaning", style="dim")
     for mark in found:
         joint = "" if mark.what in ("payload", "brownout") else escape(mark.joint)
-        end = "end" if math.isinf(mark.end) else f"{mark.end:g}"
+        end = "" if mark.decision else "end" if math.isinf(mark.end) else f"{mark.end:g}"
         table.add_row(mark.letter, mark.what, joint, f"{mark.start:g}", end, mark.size, mark.meaning)
     return table
 
@@ -148,6 +181,8 @@ def draw_marks(axis: Any, found: Sequence[Mark], joint: str, last: float, letter
             continue
         if mark.what == "payload":
             axis.axvline(mark.start, color=GREEN, ls="-.", lw=1.0)
+        elif mark.decision:
+            axis.axvline(mark.start, color=BLACK, ls=(0, (4, 2)), lw=1.1)
         else:
             axis.axvspan(mark.start, min(mark.end, last), color=PURPLE, alpha=TINT, lw=0)
             axis.axvline(mark.start, color=PURPLE, lw=0.8)
@@ -163,7 +198,7 @@ def draw_marks(axis: Any, found: Sequence[Mark], joint: str, last: float, letter
                 va="top",
                 fontsize=8.5,
                 fontweight="bold",
-                color=GREEN if mark.what == "payload" else PURPLE,
+                color=mark.colour,
                 bbox={"boxstyle": "square,pad=0.05", "fc": "white", "ec": "none", "alpha": 0.7},
             )
 
@@ -177,10 +212,10 @@ def legend_entries(found: Sequence[Mark]) -> dict[str, Any]:
             words.append(mark.joint)
         if mark.size:
             words.append(mark.size)
-        handle = (
-            Line2D([], [], color=GREEN, ls="-.", lw=1.0)
-            if mark.what == "payload"
-            else Patch(color=PURPLE, alpha=2 * TINT, lw=0)
-        )
+        handle: Any = Patch(color=PURPLE, alpha=2 * TINT, lw=0)
+        if mark.what == "payload":
+            handle = Line2D([], [], color=GREEN, ls="-.", lw=1.0)
+        elif mark.decision:
+            handle = Line2D([], [], color=BLACK, ls=(0, (4, 2)), lw=1.1)
         entries[", ".join(words)] = handle
     return entries

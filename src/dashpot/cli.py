@@ -85,8 +85,8 @@ class Simulate:
     """From this time on [s] the flange carries this mass [kg] at the same offset, 0: it has let go; may be
     given several times."""
     supervise: bool = False
-    """Run the supervisor around the controller, as on a robot: it checks every signal, brakes without encoders
-    or without torque sensors, and closes the mechanical brakes last (docs/supervisor.md)."""
+    """Run the supervisor around the controller, as on a robot: it checks every signal, brakes without
+    encoders or without torque sensors, and closes the mechanical brakes last (docs/supervisor.md)."""
     seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """Seed of motion, sensor noise and dropped samples."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/simulate")

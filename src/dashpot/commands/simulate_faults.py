@@ -177,7 +177,7 @@ def draw_marks(axis: Any, found: Sequence[Mark], joint: str, last: float, letter
     """
     taken: list[float] = []
     for mark in found:
-        if mark.joint not in ("all", joint):
+        if mark.joint not in ("all", joint) and not mark.decision:
             continue
         if mark.what == "payload":
             axis.axvline(mark.start, color=GREEN, ls="-.", lw=1.0)

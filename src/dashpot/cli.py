@@ -376,9 +376,9 @@ class Identify:
 class Campaign:
     """Run a campaign of scenarios over payloads, poses, gains, drive errors, faults and seeds.
 
-    SPEC (TOML, docs/campaigns.md) names the axes, how they are combined and what is required. The same command
-    goes on after a stop or a kill. Exit status: 0 every requirement is met, 1 one is not or a scenario failed, 2
-    bad input.
+    SPEC (TOML, docs/campaigns.md) names the axes, how they are combined and what is required. The same
+    command continues after a stop or a kill. Exit status: 0 every requirement is met, 1 one is not or a
+    scenario failed, 2 bad input.
     """
 
     spec: Annotated[
@@ -408,7 +408,7 @@ class Campaign:
     ] = None
     """Run on the Dask cluster of this scheduler, e.g. tcp://10.0.0.1:8786."""
     out: Annotated[Path, tyro.conf.arg(metavar="DATASET")] = Path("out/campaign.zarr")
-    """Zarr folder for the results, an xarray Dataset; an unfinished one of the same campaign is gone on with."""
+    """Zarr folder for the results, an xarray Dataset; an unfinished one of the same campaign is continued."""
 
     def run(self) -> int:
         """Runs the command."""
@@ -421,7 +421,8 @@ class Campaign:
 class Replay:
     """Run one scenario of a campaign again, bit for bit, with the picture and recording of dashpot simulate.
 
-    Exit status: 0 the measures are those of the dataset, 1 they differ or the simulation diverges, 2 bad input.
+    Exit status: 0 the measures are those of the dataset, 1 they differ or the simulation diverges, 2 bad
+    input.
     """
 
     dataset: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATASET")]

@@ -1,1 +1,1 @@
-"""Campaigns: axes of scenarios in, one labelled dataset of measures out, any scenario replayable by its index."""
+"""Campaigns: axes of scenarios in, one labelled dataset of measures out, every scenario replayable."""

@@ -1,4 +1,4 @@
-"""Runs the chunks of a campaign: on local processes or as futures of a Dask cluster, results to one writer."""
+"""Runs the chunks of a campaign on local processes or a Dask cluster; this process writes the results."""
 
 from __future__ import annotations
 
@@ -96,18 +96,19 @@ def _local(campaign: Campaign, todo: list[int], workers: int) -> Iterator[Block]
                     yield future.result()
         except BrokenProcessPool:
             raise DashpotError(
-                "a worker process was ended from outside, perhaps for want of memory; what is done is kept: run the "
-                "same command again, perhaps with fewer --workers"
+                "a worker process was ended from outside, perhaps for want of memory; what is done "
+                "is kept: run the same command again, perhaps with fewer --workers"
             ) from None
 
 
 def _dask(campaign: Campaign, todo: list[int], scheduler: str) -> Iterator[Block]:
     try:
-        from distributed import Client, as_completed
+        import distributed
     except ImportError:
         raise DashpotError("--scheduler needs pip install 'dashpot[campaign]'") from None
+    cluster: Any = distributed
     try:
-        client = Client(scheduler, timeout=CONNECT, set_as_default=False)
+        client = cluster.Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(f"cannot be reached: {error}", quantity="--scheduler", value=scheduler) from None
     with client:
@@ -123,14 +124,14 @@ def _dask(campaign: Campaign, todo: list[int], scheduler: str) -> Iterator[Block
         if not threads:
             raise InputError("has no workers", quantity="--scheduler", value=scheduler)
         first = [future for _ in range(AHEAD * threads) if (future := submit()) is not None]
-        waiting = as_completed(first)
+        waiting = cluster.as_completed(first, loop=client.loop)
         for future in waiting:
             try:
                 block = future.result()
             except Exception as error:  # whatever a cluster raises
                 raise DashpotError(
-                    f"{scheduler}: a chunk was lost: {type(error).__name__}: {error}; what is done is kept: run the same "
-                    "command again"
+                    f"{scheduler}: a chunk was lost: {type(error).__name__}: {error}; what is done is "
+                    "kept: run the same command again"
                 ) from None
             future.release()
             if (more := submit()) is not None:

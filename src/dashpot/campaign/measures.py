@@ -1,8 +1,12 @@
-"""What is kept of a scenario: numbers per joint and per run, from its recording."""
+"""What is kept of a scenario: numbers per joint and per run, from its recording.
+
+What comes after the release or first fault is NaN where there is none, and of joints under their own servo.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -65,13 +69,16 @@ MEASURES = {
 """Measures by name; `measure` gives them all."""
 
 
-def measure(recording: Recording, event: float | None, limits: Floats) -> dict[str, Any]:
+def measure(
+    recording: Recording, event: float | None, limits: Floats, controlled: Sequence[str]
+) -> dict[str, Any]:
     """All measures of a run.
 
     Args:
         recording: The run.
         event: Time of the release or first fault [s], or None.
         limits: Torque limits of the drives, (n,) [N m].
+        controlled: Joints under the controller; only they are made to stop.
 
     Returns:
         Name -> (n,) array or number, as in `MEASURES`. Of a run that diverged all is NaN but `limited`,
@@ -96,7 +103,9 @@ def measure(recording: Recording, event: float | None, limits: Floats) -> dict[s
         found["error_mean"], found["error_std"] = before.mean(0), before.std(0)
     if at is not None and at < len(time):
         found["error_after"] = np.abs(error[at:]).max(0)
-        found |= stops(recording.link_position[at:], recording.link_velocity[at:], period)
+        braked = np.array([joint in controlled for joint in recording.joints])
+        stopped = stops(recording.link_position[at:], recording.link_velocity[at:], period)
+        found |= {name: np.where(braked, values, np.nan) for name, values in stopped.items()}
     found["speed_peak"] = np.abs(recording.link_velocity).max(0)
     found["torque_peak"] = np.abs(recording.in_effect).max(0)
     found["torque_share"] = found["torque_peak"] / limits

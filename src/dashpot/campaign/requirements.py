@@ -64,7 +64,8 @@ class Requirement:
         ]
         share = "" if self.quantile == 1 else f" in {100 * self.quantile:g} %"
         where = "".join(f", {axis} = {value}" for axis, value in self.where)
-        return f"{self.measure} {' and '.join(parts)}{share}{where}"
+        of = "" if self.joint is None else f" of {self.joint}"
+        return f"{self.measure}{of} {' and '.join(parts)}{share}{where}"
 
 
 def parse_requirements(table: Mapping[str, Any], file: object) -> tuple[Requirement, ...]:

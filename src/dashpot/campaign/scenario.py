@@ -25,6 +25,7 @@ from dashpot.errors import DashpotError, InputError
 from dashpot.motionfile import read_motion
 from dashpot.payload import Payload
 from dashpot.plant import Plant, build
+from dashpot.recording import Recording
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
 from dashpot.simulate import Event, Scenario, run
@@ -189,7 +190,7 @@ class Campaign:
         return self._keep("plant", (errors, payload, period), make)
 
     def disturbed(self, errors: Mapping[str, Any]) -> Robot:
-        """The robot of the plant: its drives with the errors of ``drive.`` axes; the controller knows none."""
+        """The robot of the plant: its drives with the errors of ``drive.`` axes."""
         changes: dict[str, dict[str, Any]] = {}
         for key, value in errors.items():
             *joint, quantity = key.removeprefix("drive.").split(".")
@@ -294,14 +295,20 @@ class Campaign:
         _drives(scenario)
         _events(scenario)
 
+    def measure(self, setting: Setting, scenario: Scenario, recording: Recording) -> dict[str, Any]:
+        """Measures of a run of a scenario (`dashpot.campaign.measures`)."""
+        limits = np.array([drive.torque_limit for drive in self.robot.drives])
+        joints = () if scenario.controller is None else scenario.controller.joints
+        return measure(recording, setting.event, limits, joints)
+
 
 def run_one(campaign: Campaign, index: int) -> tuple[int, str, dict[str, Any]]:
     """Runs one scenario: its status, why it failed, and its measures (none where it could not be run)."""
     try:
         setting = campaign.setting(index)
-        recording = run(campaign.assemble(setting))
-        limits = np.array([drive.torque_limit for drive in campaign.robot.drives])
-        found = measure(recording, setting.event, limits)
+        scenario = campaign.assemble(setting)
+        recording = run(scenario)
+        found = campaign.measure(setting, scenario, recording)
     except (DashpotError, ArithmeticError, np.linalg.LinAlgError) as error:
         return FAILED, str(error) or type(error).__name__, {}
     if recording.diverged_at is not None:

@@ -225,8 +225,8 @@ class Spec:
 
         Args:
             source: File, or a name in `PRESETS`.
-            robot: Replaces the file's.
-            controller: Replaces the file's.
+            robot: Replaces the file's; a path is absolute or relative to the specification.
+            controller: Likewise.
 
         Raises:
             InputError: Naming file, key, value and rule.
@@ -263,9 +263,9 @@ class Spec:
         except (ValueError, RecursionError) as error:
             raise InputError(f"not valid TOML: {error}", file=file) from None
         if robot is not None:
-            table["robot"] = str(Path(robot).absolute()) if Path(robot).exists() else robot
+            table["robot"] = robot
         if controller:
-            table["controller"] = [str(Path(c).absolute()) if Path(c).exists() else c for c in controller]
+            table["controller"] = list(controller)
         check_keys(table, KEYS, {"robot", "controller"}, file=file)
         for key in ("axes", "poses", "requirements"):
             if not isinstance(table.get(key, {}), dict):

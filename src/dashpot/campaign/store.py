@@ -1,8 +1,8 @@
 """The dataset on disk: Zarr arrays with named dimensions, written chunk by chunk, done markers last.
 
-A chunk counts as done once its part of ``status`` is there. It is written after every other array's part, and each
-part is a file that appears whole, so that a killed campaign loses at most the chunks that were being run or
-written, and a chunk that is done is never run again.
+A chunk counts as done once its part of ``status`` is there. It is written after every other array's part, and
+each part is a file that appears whole, so that a killed campaign loses at most the chunks that were being run
+or written, and a chunk that is done is never run again.
 """
 
 from __future__ import annotations

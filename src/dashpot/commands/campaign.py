@@ -12,7 +12,7 @@ import numpy as np
 from dashpot.campaign.axes import value_label
 from dashpot.campaign.execute import execute
 from dashpot.campaign.judge import judge
-from dashpot.campaign.measures import MEASURES, measure
+from dashpot.campaign.measures import MEASURES
 from dashpot.campaign.scenario import OK, Campaign
 from dashpot.campaign.spec import PRESETS, Spec
 from dashpot.campaign.store import Block, Store, attributes, campaign_of, check_same, create, open_dataset
@@ -59,7 +59,8 @@ def campaign(options: Options) -> int:
         )
     source = options.preset or options.spec
     assert source is not None
-    spec = Spec.load(source, robot=options.robot, controller=options.controller)
+    robot = None if options.robot is None else _absolute(options.robot)
+    spec = Spec.load(source, robot=robot, controller=tuple(map(_absolute, options.controller)))
     plan = Campaign(spec)
     plan.check()
     out = options.out
@@ -81,7 +82,9 @@ def campaign(options: Options) -> int:
 
             execute(plan, store, workers=options.workers, scheduler=options.scheduler, advance=written)
     except KeyboardInterrupt:
-        print(f"dashpot: {done} of {spec.size} scenarios are kept; the same command goes on", file=sys.stderr)
+        print(
+            f"dashpot: {done} of {spec.size} scenarios are kept; the same command continues", file=sys.stderr
+        )
         raise
     finally:
         store.close()
@@ -93,7 +96,7 @@ def campaign(options: Options) -> int:
 
 
 def replay(options: Replay) -> int:
-    """``dashpot replay``; returns the exit status: 1 if it diverged or gave other bits than the dataset has."""
+    """``dashpot replay``; returns the exit status: 1 if it diverged or differs from the dataset."""
     from dashpot.cli import Simulate
 
     needs_campaign_extra()
@@ -134,8 +137,7 @@ def replay(options: Replay) -> int:
         recording.save(folder / "recording.npz")
         save(draw(recording, controller, view), folder / "simulate")
     show(recording, plan.robot, controller, scenario.plant, view)
-    limits = np.array([drive.torque_limit for drive in plan.robot.drives])
-    found = measure(recording, setting.event, limits)
+    found = plan.measure(setting, scenario, recording)
     with open_dataset(options.dataset) as dataset:
         at = dict(zip(plan.spec.dims, np.unravel_index(setting.index, plan.spec.shape), strict=True))
         kept = dataset.isel({dim: int(i) for dim, i in at.items()})
@@ -143,6 +145,11 @@ def replay(options: Replay) -> int:
         differ = [key for key in MEASURES if done and not same_bits(found[key], kept[key].values)]
     show_replay(values, done, differ)
     return 1 if recording.diverged_at is not None or differ else 0
+
+
+def _absolute(name: str) -> str:
+    """A file given on the command line, so that it is found from anywhere; bundled names stay."""
+    return str(Path(name).absolute()) if Path(name).is_file() else name
 
 
 def same_bits(a: Any, b: Any) -> bool:

@@ -115,8 +115,8 @@ def _requirements(spec: Spec, verdicts: Sequence[Verdict]) -> str:
     if spec.sampled:
         head.append("assured")
         note += (
-            " Assured is the least share that is plausible at 95 % (Clopper-Pearson), were the scenarios drawn "
-            "independently from the stated distributions; a Latin hypercube or Sobol sample does rather better."
+            " Assured is the least share that is plausible at 95 % (Clopper-Pearson), were the scenarios "
+            "drawn independently from the stated distributions; they fill them more evenly."
         )
     html = table(head, rows, numbers=(2, 4, 5, 6), classes=1)
     html = html.replace('"holds">holds<', '"holds">met<').replace('"fails">fails<', '"fails">not met<')

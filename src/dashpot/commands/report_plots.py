@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.ticker import FuncFormatter
 
+from dashpot.campaign.axes import Axis
 from dashpot.campaign.scenario import OK
 from dashpot.campaign.spec import Spec
 from dashpot.plots import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION, new_figure, save
@@ -72,20 +74,22 @@ def distribution(spec: Spec, dataset: Any, good: Any, folder: Path) -> Picture |
         beyond = 100 * (1 - np.arange(len(column)) / len(column))
         x = np.maximum(np.append(column, column[-1]), floor)
         axis.step(x, np.append(beyond, 0), where="pre", color=colour, ls=dash, label=str(joint))
-    for need in spec.requirements:
-        if need.measure == name and math.isfinite(need.high):
-            axis.axvline(math.degrees(need.high), color=GREY, lw=1.2, ls=(0, (4, 2)))
-            text = f"required in {100 * need.quantile:g} %"
-            axis.annotate(
-                text,
-                (math.degrees(need.high), 100),
-                (3, -2),
-                textcoords="offset points",
-                va="top",
-                fontsize=8,
-                color=GREY,
-            )
+    bounds = {need.high for need in spec.requirements if need.measure == name and math.isfinite(need.high)}
+    for bound in map(math.degrees, sorted(bounds)):
+        axis.axvline(bound, color=GREY, lw=1.2, ls=(0, (4, 2)))
+        axis.annotate(
+            f"required: {bound:g} deg",
+            (bound, 99),
+            (-4, 0),
+            textcoords="offset points",
+            rotation=90,
+            ha="right",
+            va="top",
+            fontsize=8,
+            color=GREY,
+        )
     axis.set_xscale("log")
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
     axis.set_ylim(0, 103)
     axis.set_xlabel(f"{what} [deg]")
     axis.set_ylabel("scenarios beyond it [%]")
@@ -93,7 +97,7 @@ def distribution(spec: Spec, dataset: Any, good: Any, folder: Path) -> Picture |
     path = save(figure, folder / "distribution", pdf=False)[0]
     title = "How far joints move until they stop" if name == "stop_angle" else "Largest tracking errors"
     caption = f"Share of the scenarios in which the {what} exceeds the value on the axis, per joint. " + (
-        "It counts from the release or the first fault; of a joint that never stops, it is the way to the end."
+        "It counts from the release or the first fault, to the end where a joint never stops."
         if name == "stop_angle"
         else ""
     )
@@ -146,8 +150,8 @@ def against_payload(spec: Spec, dataset: Any, good: Any, folder: Path) -> Pictur
     path = save(figure, folder / "payload", pdf=False)[0]
     words = f"in {count} groups of payloads" if sampled else "over all other axes"
     caption = (
-        "Largest tracking error per scenario, before the release or first fault: median and the band that holds "
-        f"90 % of the scenarios, {words}."
+        "Largest tracking error per scenario, before the release or first fault: median and the band that "
+        f"holds 90 % of the scenarios, {words}."
     )
     return Picture("Error against payload", caption, path)
 
@@ -173,7 +177,8 @@ def matrix(spec: Spec, dataset: Any, good: Any, folder: Path) -> Picture | None:
     figure, axes = new_figure(1, 1, max(4.2, 2.6 + 0.75 * width), 1.3 + 0.38 * height)
     axis = axes[0, 0]
     axis.grid(False)
-    axis.imshow(share, cmap=VERDICTS, vmin=0, vmax=1, aspect="auto")
+    axis.pcolormesh(share, cmap=VERDICTS, vmin=0, vmax=1, edgecolors="white", linewidth=2)
+    axis.invert_yaxis()
     for i in range(height):
         for j in range(width):
             dark = share[i, j] < 0.2 or share[i, j] > 0.85
@@ -181,8 +186,8 @@ def matrix(spec: Spec, dataset: Any, good: Any, folder: Path) -> Picture | None:
             axis.text(
                 j, i, f"{kept[i, j]}/{total[i, j]}", ha="center", va="center", fontsize=8.5, color=colour
             )
-    axis.set_xticks(range(width), [str(label) for label in (across.labels if across else [""])])
-    axis.set_yticks(range(height), [str(label) for label in down.labels])
+    axis.set_xticks(np.arange(width) + 0.5, _labels(across) if across else [""])
+    axis.set_yticks(np.arange(height) + 0.5, _labels(down))
     if across is not None:
         axis.set_xlabel(f"{across.name}{f' [{across.unit}]' if across.unit not in ('', '-') else ''}")
     axis.set_ylabel(f"{down.name}{f' [{down.unit}]' if down.unit not in ('', '-') else ''}")
@@ -192,3 +197,7 @@ def matrix(spec: Spec, dataset: Any, good: Any, folder: Path) -> Picture | None:
     title = f"Verdicts over {down.name}" + (f" and {across.name}" if across else "")
     kind = "keep every bound of the requirements" if spec.requirements else "run to their end"
     return Picture(title, f"Scenarios that {kind}, of those simulated, over all other axes.", path)
+
+
+def _labels(axis: Axis) -> list[str]:
+    return [value if isinstance(value, str) else f"{value:g}" for value in axis.labels]

@@ -22,14 +22,13 @@ robot = "fr3"
 controller = "fr3"
 duration = 3.0
 amplitude = 0.2
-chunk = 4
+chunk = 16
 [axes]
 payload = [0.0, 2.0]
-gains.R = [0.9, 1.0]
 fault = ["none"]
 seed = {{ low = 0, high = {0}, points = {1} }}
 """
-SEEDS = 4
+SEEDS = 16
 
 
 def campaign(rows: Rows) -> None:

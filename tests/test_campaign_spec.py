@@ -69,7 +69,8 @@ def parse(text, head=HEAD):
         ("sample = 'sobol'\ncount = 4", "no axis is a range"),
         ("motion = 'hold'\n[axes]\namplitude = [0.1]", "has no effect on motion"),
         (
-            "[axes]\nseed = {low = 0, high = 99999, points = 100000}\ntrajectory = {low = 0, high = 999, points = 1000}",
+            "[axes]\nseed = {low = 0, high = 99999, points = 100000}\n"
+            "trajectory = {low = 0, high = 999, points = 1000}",
             "at most 10000000",
         ),
         ("amplitude = 300.0", "at most"),
@@ -100,7 +101,7 @@ def test_bad_specifications_are_refused_in_one_line(text, said):
     ],
 )
 def test_what_cannot_be_simulated_is_refused_before_anything_runs(text, said):
-    with pytest.raises(DashpotError, match="^[^\n]*$") as caught:
+    with pytest.raises(DashpotError, match=r"^[^\n]*$") as caught:
         Campaign(parse(text)).check()
     assert said in str(caught.value)
 
@@ -153,7 +154,8 @@ def test_a_range_maps_shares_in_order_and_stays_inside(low, ratio, share, log):
     assert middle == pytest.approx(math.sqrt(low * axis.high) if log else (low + axis.high) / 2)
 
 
-AXES = "[axes]\npayload = {low = 0.0, high = 3.0}\ndrive.stiffness = {low = 0.8, high = 1.2, each_joint = true}\n"
+AXES = "[axes]\npayload = {low = 0.0, high = 3.0}\n"
+AXES += "drive.stiffness = {low = 0.8, high = 1.2, each_joint = true}\n"
 
 
 @pytest.mark.parametrize("kind", ["sobol", "latin_hypercube"])

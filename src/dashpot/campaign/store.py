@@ -80,6 +80,8 @@ class Store:
         except OSError:
             os.close(self._lock)
             raise DashpotError(f"{path}: another campaign is writing to it") from None
+        for leftover in path.rglob("*.partial"):  # of writes that a kill cut off
+            leftover.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Lets others write."""

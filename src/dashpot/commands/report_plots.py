@@ -122,9 +122,7 @@ def against_payload(spec: Spec, dataset: Any, good: Any, folder: Path) -> Pictur
     at = np.array([payload[group == g].mean() for g in range(count)])
     rows = math.ceil(n / 4)
     columns = math.ceil(n / rows)
-    figure, axes = new_figure(
-        rows, columns, max(4.5, 2.5 * columns), 0.6 + 2.3 * rows, sharex=True, sharey=True
-    )
+    figure, axes = new_figure(rows, columns, max(4.5, 2.5 * columns), 0.6 + 2.3 * rows, sharex=True)
     for j in range(rows * columns):
         axis = axes[j // columns, j % columns]
         if j >= n:

@@ -182,7 +182,13 @@ def matrix(spec: Spec, dataset: Any, good: Any, folder: Path) -> Picture | None:
             dark = share[i, j] < 0.2 or share[i, j] > 0.85
             colour = "white" if dark else BLACK
             axis.text(
-                j, i, f"{kept[i, j]}/{total[i, j]}", ha="center", va="center", fontsize=8.5, color=colour
+                j + 0.5,
+                i + 0.5,
+                f"{kept[i, j]}/{total[i, j]}",
+                ha="center",
+                va="center",
+                fontsize=8.5,
+                color=colour,
             )
     axis.set_xticks(np.arange(width) + 0.5, _labels(across) if across else [""])
     axis.set_yticks(np.arange(height) + 0.5, _labels(down))

@@ -1,5 +1,5 @@
 """Speed of dashpot as ratios measured in one run: closed loop, step, allocation, threads,
-certificate, design of an arm.
+certificate, design of an arm, campaign.
 
     python benchmarks/bench.py [--json FILE] [--check] [--only PART ...]
 
@@ -28,6 +28,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import rivals
+from campaign import campaign
 from certify import certificate
 from design import design
 from measure import SETS, Rows, Timed, bytes_in_use, calls, interleave
@@ -268,7 +269,7 @@ def threads(rows: Rows) -> None:
     rows.add("threads_speedup", "two threads: times faster", best["one"] / best["two"])
 
 
-_PARTS = (closed_loop, controller_step, allocation, threads, certificate, design)
+_PARTS = (closed_loop, controller_step, allocation, threads, certificate, design, campaign)
 PARTS = {part.__name__: part for part in _PARTS}
 
 

@@ -389,6 +389,94 @@ class Identify:
         return identify(self)
 
 
+@dataclass
+class Campaign:
+    """Run a campaign of scenarios over payloads, poses, gains, drive errors, faults and seeds.
+
+    SPEC (TOML, docs/campaigns.md) names the axes, how they are combined and what is required. The same
+    command continues after a stop or a kill. Exit status: 0 every requirement is met, 1 one is not or a
+    scenario failed, 2 bad input.
+    """
+
+    spec: Annotated[
+        tyro.conf.Positional[Path | None],
+        tyro.conf.arg(metavar="SPEC", help_behavior_hint="(or --preset)"),
+    ] = None
+    """Specification TOML."""
+    preset: Annotated[
+        Literal["readiness"] | None, tyro.conf.arg(metavar="readiness", help_behavior_hint="(default: none)")
+    ] = None
+    """A bundled specification instead: readiness is faults x payloads x poses."""
+    robot: Annotated[
+        str | None, tyro.conf.arg(metavar="ROBOT", help_behavior_hint="(default: as in SPEC)")
+    ] = None
+    """Robot TOML, or k807, fr3, iiwa14."""
+    controller: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(metavar="CONTROLLER [CONTROLLER ...]", help_behavior_hint="(default: as in SPEC)"),
+    ] = ()
+    """Controller TOML, or k807-wrist, k807-resonant, fr3, iiwa14; several are an axis."""
+    workers: Annotated[
+        int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: one per core)")
+    ] = None
+    """Local processes."""
+    scheduler: Annotated[
+        str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: local processes)")
+    ] = None
+    """Run on the Dask cluster of this scheduler, e.g. tcp://10.0.0.1:8786."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DATASET")] = Path("out/campaign.zarr")
+    """Zarr folder for the results, an xarray Dataset; an unfinished one of the same campaign is continued."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from dashpot.commands.campaign import campaign
+
+        return campaign(self)
+
+
+@dataclass
+class Replay:
+    """Run one scenario of a campaign again, bit for bit, with the picture and recording of dashpot simulate.
+
+    Exit status: 0 the measures are those of the dataset, 1 they differ or the simulation diverges, 2 bad
+    input.
+    """
+
+    dataset: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATASET")]
+    """What dashpot campaign wrote."""
+    index: Annotated[tyro.conf.Positional[int], tyro.conf.arg(metavar="INDEX")]
+    """Index of the scenario."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/replay")
+    """Folder for recording.npz and simulate.png; replaced as a whole."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from dashpot.commands.campaign import replay
+
+        return replay(self)
+
+
+@dataclass
+class Report:
+    """Judge a campaign against its requirements: verdicts, worst cases and pictures on one HTML page.
+
+    Exit status: 0 every requirement is met, 1 one is not, or scenarios failed or are missing, 2 bad input.
+    """
+
+    dataset: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATASET")]
+    """What dashpot campaign wrote."""
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: DATASET with .html)")
+    ] = None
+    """The page."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from dashpot.commands.report import report
+
+        return report(self)
+
+
 Command = (
     Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Certify, tyro.conf.subcommand("certify")]
@@ -397,6 +485,9 @@ Command = (
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
     | Annotated[Excite, tyro.conf.subcommand("excite")]
     | Annotated[Identify, tyro.conf.subcommand("identify")]
+    | Annotated[Campaign, tyro.conf.subcommand("campaign")]
+    | Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
 )
 
 

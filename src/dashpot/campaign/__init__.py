@@ -1,0 +1,1 @@
+"""Campaigns: axes of scenarios in, one labelled dataset of measures out, every scenario replayable."""

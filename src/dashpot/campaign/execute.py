@@ -1,0 +1,139 @@
+"""Runs the chunks of a campaign on local processes or a Dask cluster; this process writes the results."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+from dashpot.campaign.scenario import Campaign
+from dashpot.campaign.store import Block, Store, run_chunk
+from dashpot.design.workers import _deaf_to_interrupts, _pool, cores
+from dashpot.errors import DashpotError, InputError
+
+AHEAD = 2  # chunks per worker that wait for it
+CONNECT = 15  # [s] to reach a scheduler
+_HERE: dict[str, Campaign] = {}
+"""Campaigns of this process, by digest: what they have built serves the next chunk."""
+
+
+def execute(
+    campaign: Campaign,
+    store: Store,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    advance: Callable[[Block], None] = lambda _: None,
+) -> None:
+    """Runs every chunk that is not done and writes it.
+
+    Args:
+        campaign: What to run.
+        store: Where results go; written by this process only.
+        workers: Local processes; 0: run here; None: one per core.
+        scheduler: Address of a Dask scheduler, which then runs the chunks.
+        advance: Called with every chunk written.
+
+    Raises:
+        DashpotError: Workers were lost; what is done is kept.
+    """
+    todo = store.pending()
+    if scheduler is not None:
+        results = _dask(campaign, todo, scheduler)
+    elif workers == 0:
+        results = (run_chunk(campaign, chunk) for chunk in todo)
+    else:
+        results = _local(campaign, todo, min(workers or cores(), max(len(todo), 1)))
+    for block in results:
+        store.commit(block)
+        advance(block)
+
+
+def chunk_of(campaign: Campaign, chunk: int) -> Block:
+    """`run_chunk` in a worker: the first campaign of a digest that comes by is kept."""
+    if campaign.digest not in _HERE:
+        _HERE.clear()
+        _prepare()
+    return run_chunk(_HERE.setdefault(campaign.digest, campaign), chunk)
+
+
+def _prepare() -> None:
+    from threadpoolctl import threadpool_limits
+
+    from dashpot.commands import quiet_engine
+
+    threadpool_limits(1, user_api="blas")  # every core has a scenario of its own
+    quiet_engine()
+    parent = multiprocessing.parent_process()
+    if parent is not None:  # nothing goes on where the parent was killed
+
+        def follow() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=follow, daemon=True).start()
+
+
+def _local(campaign: Campaign, todo: list[int], workers: int) -> Iterator[Block]:
+    with _pool(workers) as pool:
+        waiting: set[Future[Block]] = set()
+        rest = iter(todo)
+        try:
+            while True:
+                with _deaf_to_interrupts():
+                    for chunk in rest:
+                        waiting.add(pool.submit(chunk_of, campaign, chunk))
+                        if len(waiting) >= AHEAD * workers:
+                            break
+                if not waiting:
+                    return
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in done:
+                    yield future.result()
+        except BrokenProcessPool:
+            raise DashpotError(
+                "a worker process was ended from outside, perhaps for want of memory; what is done "
+                "is kept: run the same command again, perhaps with fewer --workers"
+            ) from None
+
+
+def _dask(campaign: Campaign, todo: list[int], scheduler: str) -> Iterator[Block]:
+    try:
+        import distributed
+    except ImportError:
+        raise DashpotError("--scheduler needs pip install 'dashpot[campaign]'") from None
+    cluster: Any = distributed
+    try:
+        client = cluster.Client(scheduler, timeout=CONNECT, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise InputError(f"cannot be reached: {error}", quantity="--scheduler", value=scheduler) from None
+    with client:
+        rest = iter(todo)
+
+        def submit() -> Any:
+            for chunk in rest:
+                key = f"dashpot-{campaign.digest[:12]}-{chunk}"
+                return client.submit(chunk_of, campaign, chunk, key=key, pure=False)
+            return None
+
+        threads = sum(client.nthreads().values())
+        if not threads:
+            raise InputError("has no workers", quantity="--scheduler", value=scheduler)
+        first = [future for _ in range(AHEAD * threads) if (future := submit()) is not None]
+        waiting = cluster.as_completed(first, loop=client.loop)
+        for future in waiting:
+            try:
+                block = future.result()
+            except Exception as error:  # whatever a cluster raises
+                raise DashpotError(
+                    f"{scheduler}: a chunk was lost: {type(error).__name__}: {error}; what is done is "
+                    "kept: run the same command again"
+                ) from None
+            future.release()
+            if (more := submit()) is not None:
+                waiting.add(more)
+            yield block

@@ -1,0 +1,163 @@
+"""What is kept of a scenario: numbers per joint and per run, from its recording.
+
+What comes after the release or first fault is NaN where there is none, and of joints under their own servo.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from scipy.signal import butter, sosfilt, sosfilt_zi
+
+from dashpot.controller import NOT_FINITE, RATE_LIMITED, TORQUE_LIMITED
+from dashpot.recording import Recording
+from dashpot.sampled import Floats
+from dashpot.vibration import CORNER, WINDOW
+
+NOISE_CORNER = 30.0  # [Hz] commanded torque above it is noise, not motion
+SLOWED = 0.05  # of the speed at the event: a joint that has stopped
+AT_REST = math.radians(0.5)  # [rad/s] slower than this is at rest in any case
+STAYS = 0.05  # [s] for which a stopped joint must stay slow
+LAST = 1.0  # [s] at the end over which drift is taken
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One measure.
+
+    Attributes:
+        unit: SI.
+        words: What it is.
+        per_joint: Whether it has a value per joint.
+    """
+
+    unit: str
+    words: str
+    per_joint: bool = True
+
+
+_AFTER = "after the release or first fault"
+MEASURES = {
+    "error_rms": Measure("rad", "RMS of reference minus link angle, before the release or first fault"),
+    "error_max": Measure("rad", "largest tracking error, before the release or first fault"),
+    "error_mean": Measure("rad", "mean tracking error, before the release or first fault"),
+    "error_std": Measure(
+        "rad", "standard deviation of the tracking error, before the release or first fault"
+    ),
+    "error_after": Measure("rad", f"largest tracking error {_AFTER}"),
+    "stop_time": Measure("s", f"until the link is slow and stays so, {_AFTER}; inf: never"),
+    "stop_angle": Measure("rad", f"farthest way from where it was until it stops, {_AFTER}"),
+    "travel": Measure("rad", f"farthest way from where it was until the end, {_AFTER}"),
+    "drift_speed": Measure("rad/s", f"mean speed over the last second, {_AFTER}"),
+    "speed_peak": Measure("rad/s", "largest link speed"),
+    "torque_peak": Measure("N m", "largest torque asked of the drive"),
+    "torque_share": Measure("-", "largest torque asked of the drive over its limit"),
+    "torque_noise": Measure("N m", f"RMS of the torque command above {NOISE_CORNER:g} Hz"),
+    "vibration": Measure("N m", f"RMS of the sensed torque above {CORNER:g} Hz in the last second"),
+    "growth": Measure("-", "vibration over that of the second before: above 1 it grows"),
+    "limited": Measure("-", "share of the time in which any joint's torque or its rate was limited", False),
+    "not_finite": Measure(
+        "-", "share of the time in which any joint's input or torque was not finite", False
+    ),
+    "diverged_at": Measure("s", "time at which the simulation diverged; inf: never", False),
+}
+"""Measures by name; `measure` gives them all."""
+
+
+def measure(
+    recording: Recording, event: float | None, limits: Floats, controlled: Sequence[str]
+) -> dict[str, Any]:
+    """All measures of a run.
+
+    Args:
+        recording: The run.
+        event: Time of the release or first fault [s], or None.
+        limits: Torque limits of the drives, (n,) [N m].
+        controlled: Joints under the controller; only they are made to stop.
+
+    Returns:
+        Name -> (n,) array or number, as in `MEASURES`. Of a run that diverged all is NaN but `limited`,
+        `not_finite` and `diverged_at`.
+    """
+    n = len(recording.joints)
+    found: dict[str, Any] = {
+        name: np.full(n, np.nan) if kind.per_joint else math.nan for name, kind in MEASURES.items()
+    }
+    found["limited"] = float(((recording.status & (TORQUE_LIMITED | RATE_LIMITED)) != 0).mean())
+    found["not_finite"] = float(((recording.status & NOT_FINITE) != 0).mean())
+    found["diverged_at"] = math.inf if recording.diverged_at is None else recording.diverged_at
+    if recording.diverged_at is not None:
+        return found
+    time, period = recording.time, float(recording.time[1] - recording.time[0])
+    begin = int(np.searchsorted(time, -1e-9))
+    at = None if event is None else int(np.searchsorted(time, event - 1e-9))
+    error = recording.reference - recording.link_position
+    if len(before := error[begin:at]):
+        found["error_rms"] = np.sqrt((before**2).mean(0))
+        found["error_max"] = np.abs(before).max(0)
+        found["error_mean"], found["error_std"] = before.mean(0), before.std(0)
+    if at is not None and at < len(time):
+        found["error_after"] = np.abs(error[at:]).max(0)
+        braked = np.array([joint in controlled for joint in recording.joints])
+        stopped = stops(recording.link_position[at:], recording.link_velocity[at:], period)
+        found |= {name: np.where(braked, values, np.nan) for name, values in stopped.items()}
+    found["speed_peak"] = np.abs(recording.link_velocity).max(0)
+    found["torque_peak"] = np.abs(recording.in_effect).max(0)
+    found["torque_share"] = found["torque_peak"] / limits
+    moving = slice(begin, None)
+    found["torque_noise"] = rms(above(recording.command[moving], period, NOISE_CORNER))
+    swing = above(recording.sample[moving], period, CORNER)
+    window = min(round(WINDOW / period), len(swing) // 3)
+    if window:
+        found["vibration"] = rms(swing[-window:])
+        earlier = rms(swing[-2 * window : -window])
+        found["growth"] = np.divide(found["vibration"], earlier, out=np.full(n, np.nan), where=earlier > 0)
+    return found
+
+
+def stops(angle: Floats, velocity: Floats, period: float) -> dict[str, Floats]:
+    """How joints stop: times [s], ways [rad] and final drift [rad/s], each (n,), from rows (ticks, n).
+
+    A joint has stopped from the first tick on after which its speed stays below 5 % of what it was at the
+    first row, or below 0.5 deg/s, for 50 ms; to the end, if that comes earlier.
+    """
+    way = np.abs(angle - angle[0])
+    slow = np.abs(velocity) < np.maximum(SLOWED * np.abs(velocity[0]), AT_REST)
+    stays = max(1, min(round(STAYS / period), len(slow)))
+    counted = np.vstack([np.zeros((1, slow.shape[1]), int), np.cumsum(slow, axis=0)])
+    stopped = counted[stays:] - counted[:-stays] == stays
+    first, ever = stopped.argmax(0), stopped.any(0)
+    farthest = np.maximum.accumulate(way, axis=0)
+    last = min(round(LAST / period), len(angle) - 1)
+    return {
+        "stop_time": np.where(ever, first * period, np.inf),
+        "stop_angle": np.where(ever, farthest[first, np.arange(len(first))], farthest[-1]),
+        "travel": farthest[-1],
+        "drift_speed": np.abs(angle[-1] - angle[-1 - last]) / (last * period)
+        if last
+        else np.abs(velocity[-1]),
+    }
+
+
+def above(signal: Floats, period: float, corner: float) -> Floats:
+    """The part of columns above a frequency [Hz]; empty where they are sampled too slowly to tell."""
+    if 0.5 / period <= 1.5 * corner or not np.isfinite(signal).all():
+        return signal[:0]
+    sections, settled = _highpass(corner, period)
+    return np.asarray(sosfilt(sections, signal, axis=0, zi=settled * signal[0])[0])
+
+
+def rms(signal: Floats) -> Floats:
+    """Root mean square of columns; NaN of none."""
+    return np.sqrt((signal**2).mean(0)) if len(signal) else np.full(signal.shape[1], np.nan)
+
+
+@cache
+def _highpass(corner: float, period: float) -> tuple[Floats, Floats]:
+    sections = butter(4, corner, "highpass", fs=1 / period, output="sos")
+    return sections, sosfilt_zi(sections)[:, :, None]

@@ -1,0 +1,125 @@
+"""Requirements on measures: a bound that a share of the scenarios must keep."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dashpot.campaign.measures import MEASURES
+from dashpot.errors import InputError
+from dashpot.tables import as_float, check_keys
+
+DEGREES = "_deg"
+KEYS = {"min", "max", "quantile", "joint", "where"}
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """One line of ``[requirements]``.
+
+    Attributes:
+        measure: Name in `MEASURES`.
+        low: Least value [SI].
+        high: Largest value [SI].
+        quantile: Share of the judged scenarios that must keep the bounds [-]; 1: every one.
+        joint: The joint judged; None: every joint, each by itself.
+        where: Axes and values (grid labels) that select the judged scenarios.
+        degrees: Whether it was written in degrees.
+    """
+
+    measure: str
+    low: float = -math.inf
+    high: float = math.inf
+    quantile: float = 1.0
+    joint: str | None = None
+    where: tuple[tuple[str, Any], ...] = ()
+    degrees: bool = False
+
+    @property
+    def name(self) -> str:
+        """The key it was written under."""
+        return self.measure + (DEGREES if self.degrees else "")
+
+    @property
+    def factor(self) -> float:
+        """From SI to the unit it was written in."""
+        return math.degrees(1.0) if self.degrees else 1.0
+
+    @property
+    def unit(self) -> str:
+        """The unit it was written in."""
+        unit = MEASURES[self.measure].unit
+        return unit.replace("rad", "deg") if self.degrees else unit
+
+    @property
+    def words(self) -> str:
+        """The requirement in words."""
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        parts = [
+            f"{word} {bound * self.factor:g}{unit}"
+            for word, bound in (("at least", self.low), ("at most", self.high))
+            if math.isfinite(bound)
+        ]
+        share = "" if self.quantile == 1 else f" in {100 * self.quantile:g} %"
+        where = "".join(f", {axis} = {value}" for axis, value in self.where)
+        of = "" if self.joint is None else f" of {self.joint}"
+        return f"{self.measure}{of} {' and '.join(parts)}{share}{where}"
+
+
+def parse_requirements(table: Mapping[str, Any], file: object) -> tuple[Requirement, ...]:
+    """Reads ``[requirements]``: a table per measure, or a list of them.
+
+    Raises:
+        InputError: Naming the measure, its value and the rule.
+    """
+    found = []
+    for key, entry in table.items():
+        degrees = key.endswith(DEGREES)
+        name = key.removesuffix(DEGREES)
+        known = set(MEASURES) | {m + DEGREES for m, kind in MEASURES.items() if kind.unit.startswith("rad")}
+        check_keys({key: entry}, known, set(), file=f"{file}: requirements")
+        for item in entry if isinstance(entry, list) else [entry]:
+            found.append(_requirement(name, key, degrees, item, file))
+    return tuple(found)
+
+
+def _requirement(name: str, key: str, degrees: bool, item: Any, file: object) -> Requirement:
+    where = f"requirements.{key}"
+    if not isinstance(item, Mapping):
+        raise InputError("must be a table, e.g. { max = 0.1 }", file=file, quantity=where, value=item)
+    check_keys(item, KEYS, set(), file=f"{file}: {where}")
+    if "min" not in item and "max" not in item:
+        raise InputError("needs a max or a min", file=file, quantity=where, value=dict(item))
+    for bound in ("min", "max", "quantile"):
+        value = item.get(bound, 0.5)
+        if type(value) not in (int, float) or not math.isfinite(as_float(value)):
+            raise InputError("must be a finite number", file=file, quantity=f"{where}.{bound}", value=value)
+    quantile = as_float(item.get("quantile", 1))
+    if not 0 < quantile <= 1:
+        raise InputError(
+            "must be above 0 and at most 1", file=file, quantity=f"{where}.quantile", value=quantile
+        )
+    scale = math.pi / 180 if degrees else 1.0
+    low, high = (
+        scale * as_float(item[k]) if k in item else d for k, d in (("min", -math.inf), ("max", math.inf))
+    )
+    if low > high:
+        raise InputError("min exceeds max", file=file, quantity=where, value=dict(item))
+    joint, chosen = item.get("joint"), item.get("where", {})
+    if joint is not None and (not isinstance(joint, str) or not MEASURES[name].per_joint):
+        raise InputError(
+            "must be a joint's name, of a measure per joint",
+            file=file,
+            quantity=f"{where}.joint",
+            value=joint,
+        )
+    if not isinstance(chosen, Mapping) or not all(isinstance(v, str | int | float) for v in chosen.values()):
+        raise InputError(
+            'must be a table of axes and values, e.g. { fault = "none" }',
+            file=file,
+            quantity=f"{where}.where",
+            value=chosen,
+        )
+    return Requirement(name, low, high, quantile, joint, tuple(chosen.items()), degrees)

@@ -1,0 +1,244 @@
+"""Campaign specifications: what is accepted, how scenarios are laid out, what samples are like."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dashpot.campaign.scenario import Campaign
+from dashpot.campaign.spec import Spec
+from dashpot.errors import DashpotError, InputError
+
+HEAD = 'robot = "fr3"\ncontroller = "fr3"\nduration = 0.2\n'
+SAMPLED = HEAD + 'sample = "{}"\ncount = 32\nseed = 4\n'
+
+
+def parse(text, head=HEAD):
+    return Spec.parse(head + text, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[axes]\npayloads = [1.0]", "did you mean 'payload'"),
+        ("[axes]\npayload = []", "must not be empty"),
+        ("[axes]\npayload = [1.0, 1.0]", "is listed twice"),
+        ("[axes]\npayload = [-1.0]", "must be 0 to 10000 kg"),
+        ("[axes]\npayload = [nan]", "must be 0 to 10000 kg"),
+        ("[axes]\npayload = true", "must be a number"),
+        ('[axes]\npayload = ["1"]', "must be a number"),
+        ("[axes]\noffset = [[0.0, 1.0]]", "must be a number or [x, y, z]"),
+        ("[axes]\npayload = {low = 0.0, high = 1.0}", "needs sample"),
+        ("[axes]\npayload = {low = 1.0, high = 0.0, points = 3}", "low must be below high"),
+        ("[axes]\npayload = {low = 0.0, high = 1.0, points = 1}", "points must be 2"),
+        (
+            "[axes]\npayload = {low = 0.0, high = 1.0, points = 3, distribution = 'normal'}",
+            "must be one of uniform",
+        ),
+        (
+            "[axes]\npayload = {low = 0.0, high = 1.0, points = 3, distribution = 'log-uniform'}",
+            "low above 0",
+        ),
+        ("[axes]\nseed = [0.5]", "must be a whole number"),
+        ("[axes]\ngains.Q = [1.0]", "unknown key"),
+        ("[axes]\ngains = [1.0]", "must be a table of R, D, K, kp, kd"),
+        ("[axes]\ndrive.joint1.mass = [1.0]", "unknown key"),
+        ("[axes]\npose = ['folded']", "no such pose"),
+        ("[axes]\npose = {random = 0}", "must be 1 to"),
+        ("[axes]\ncontroller = ['fr3']", "belongs above [axes]"),
+        ("[axes]\nfault = ['encoder']", 'must be "none" or a table'),
+        ("[axes]\nfault = [{kind = 'a', start = 1.0}, {kind = 'a', start = 2.0}]", "is listed twice"),
+        ("[requirements]\nerror = {max = 1.0}", "unknown key"),
+        ("[requirements]\ntorque_peak_deg = {max = 1.0}", "unknown key"),
+        ("[requirements]\nerror_max = 1.0", "must be a table"),
+        ("[requirements]\nerror_max = {quantile = 0.5}", "needs a max or a min"),
+        ("[requirements]\nerror_max = {max = nan}", "must be a finite number"),
+        ("[requirements]\nerror_max = {max = 1.0, quantile = 0.0}", "above 0 and at most 1"),
+        ("[requirements]\nerror_max = {max = 1.0, min = 2.0}", "min exceeds max"),
+        ("[requirements]\nlimited = {max = 1.0, joint = 'joint1'}", "measure per joint"),
+        ("[requirements]\nerror_max = {max = 1.0, where = {payload = 1.0}}", "no such axis"),
+        ("count = 3", "is for samples only"),
+        ("seed = -1", "not negative"),
+        ("chunk = 0", "must be 1 to 10000"),
+        ("sample = 'sobol'\ncount = 4", "no axis is a range"),
+        ("motion = 'hold'\n[axes]\namplitude = [0.1]", "has no effect on motion"),
+        (
+            "[axes]\nseed = {low = 0, high = 99999, points = 100000}\n"
+            "trajectory = {low = 0, high = 999, points = 1000}",
+            "at most 10000000",
+        ),
+        ("amplitude = 300.0", "at most"),
+        ("robot", "not valid TOML"),
+    ],
+)
+def test_bad_specifications_are_refused_in_one_line(text, said):
+    with pytest.raises(InputError) as caught:
+        parse(text)
+    message = str(caught.value)
+    assert said in message
+    assert len(message.splitlines()) == 1
+    assert len(message) < 400
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("release = 5.0", "outside the trajectory"),
+        ("[axes]\ndrive.joint9.stiffness = [1.1]", "no such joint"),
+        ("[axes]\ngains.joint9.R = [1.1]", "no such joint"),
+        ("[axes]\ngains.R = [0.0, 1.0]", "R [-] = 0.0"),
+        ("[axes]\ndrive.rotor_inertia = [1.0, 0.0]", "rotor_inertia"),
+        ("[axes]\npose = ['low']\n[poses]\nlow = [0.0]", "must be 7 angles"),
+        ("motion = 'nowhere.csv'", "no such file"),
+        ("[axes]\nfault = [{kind = 'no_such_fault', start = 0.1}]", "fault"),
+        ("[requirements]\nerror_max = {max = 1.0, joint = 'joint9'}", "no such joint"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused_before_anything_runs(text, said):
+    with pytest.raises(DashpotError, match=r"^[^\n]*$") as caught:
+        Campaign(parse(text)).check()
+    assert said in str(caught.value)
+
+
+lengths = st.lists(st.integers(1, 7), min_size=1, max_size=4)
+
+
+@given(lengths, st.one_of(st.none(), st.integers(1, 50)))
+@settings(max_examples=150, deadline=None)
+def test_chunks_are_runs_of_indices_that_tile_the_grid(shape, chunk):
+    names = ("payload", "amplitude", "trajectory", "seed")[: len(shape)]
+    axes = "\n".join(
+        f"{name} = [{', '.join(map(str, range(n)))}]" for name, n in zip(names, shape, strict=True)
+    )
+    spec = parse(("" if chunk is None else f"chunk = {chunk}\n") + f"[axes]\n{axes}")
+    assert spec.shape == tuple(shape)
+    index = np.arange(spec.size).reshape(spec.shape)
+    seen = []
+    for k in range(spec.chunks):
+        run = spec.chunk_indices(k)
+        assert index[spec.chunk_region(k)].ravel().tolist() == list(run)
+        assert 1 <= len(run) <= (chunk or 16)
+        seen += run
+    assert sorted(seen) == list(range(spec.size))
+
+
+@given(
+    st.floats(1e-3, 1e3),
+    st.floats(1.001, 1e3),
+    st.floats(0, 1),
+    st.booleans(),
+)
+def test_a_range_maps_shares_in_order_and_stays_inside(low, ratio, share, log):
+    kind = "log-uniform" if log else "uniform"
+    spec = (
+        parse(
+            f"[axes]\npayload = {{low = {low!r}, high = {low * ratio!r}, distribution = '{kind}'}}",
+            SAMPLED.format("sobol"),
+        )
+        if low * ratio <= 1e4
+        else None
+    )
+    if spec is None:
+        return
+    axis = spec.axis("payload")
+    assert low <= axis.at(share) <= axis.high
+    assert axis.at(0.0) == low
+    assert axis.at(share) <= axis.at(min(1.0, share + 0.1))
+    middle = axis.at(0.5)
+    assert middle == pytest.approx(math.sqrt(low * axis.high) if log else (low + axis.high) / 2)
+
+
+AXES = "[axes]\npayload = {low = 0.0, high = 3.0}\n"
+AXES += "drive.stiffness = {low = 0.8, high = 1.2, each_joint = true}\n"
+
+
+@pytest.mark.parametrize("kind", ["sobol", "latin_hypercube"])
+def test_a_sample_puts_one_point_into_every_part_of_every_axis(kind):
+    points = parse(AXES, SAMPLED.format(kind)).points(7)
+    assert points.shape == (32, 8)
+    for column in points.T:
+        assert sorted((column * 32).astype(int)) == list(range(32))
+    other = parse(AXES, SAMPLED.format(kind).replace("seed = 4", "seed = 5")).points(7)
+    assert not np.array_equal(points, other)
+
+
+def test_scenarios_follow_from_the_specification_alone():
+    text = AXES + "gains.kp = [0.9, 1.0]\npose = {random = 3}\nseed = [5, 6]\n"
+    one, two = (Campaign(parse(text, SAMPLED.format("sobol"))) for _ in range(2))
+    assert one.spec.dims == ("sample", "gains_kp", "pose", "seed")
+    assert one.digest == two.digest
+    far = pickle.loads(pickle.dumps(one))
+    for index in (0, 7, one.spec.size - 1):
+        a, b = one.scenario(index), far.scenario(index)
+        assert one.values(index) == two.values(index) == far.values(index)
+        np.testing.assert_array_equal(a.trajectory.position, b.trajectory.position)
+        np.testing.assert_array_equal(a.plant.drives, b.plant.drives)
+        np.testing.assert_array_equal(a.controller.blocks, b.controller.blocks)
+        assert a.seed == b.seed == (5, 6)[index % 2]
+    with pytest.raises(InputError, match="must be 0 to 383"):
+        one.values(384)
+
+
+def test_drive_errors_reach_the_plant_and_not_the_controller():
+    text = "[axes]\ndrive.stiffness = [1.0, 1.25]\ndrive.joint2.torque_bias = [0.5]\n"
+    campaign = Campaign(parse(text))
+    nominal, off = campaign.scenario(0), campaign.scenario(1)
+    np.testing.assert_array_equal(nominal.controller.blocks, off.controller.blocks)
+    np.testing.assert_allclose(off.plant.drives["stiffness"], 1.25 * nominal.plant.drives["stiffness"])
+    assert off.plant.drives["sensor_bias"].tolist() == [0, 0.5, 0, 0, 0, 0, 0]
+    assert campaign.scenario(0).plant is nominal.plant  # built once
+
+
+def test_gains_are_multiplied_for_all_joints_and_for_one():
+    campaign = Campaign(parse("[axes]\ngains.R = [0.5]\ngains.joint3.R = [2.0]\ngains.kd = [0.25]\n"))
+    given = campaign.configs["fr3"].joints
+    scenario = campaign.values(0)
+    made = campaign.config("fr3", [(k, v) for k, v in scenario.items() if k.startswith("gains.")]).joints
+    for before, after in zip(given, made, strict=True):
+        assert before.R * 0.5 * (2.0 if before.name == "joint3" else 1.0) == after.R
+        assert after.kd == before.kd * 0.25
+        assert (after.D, after.K, after.kp) == (before.D, before.K, before.kp)
+
+
+def test_random_poses_lie_inside_the_ranges():
+    campaign = Campaign(parse("[axes]\npose = {random = 200}\n"))
+    poses = np.array([campaign.pose(f"random{i}") for i in range(200)])
+    drives = campaign.scenario(0).plant.drives
+    margin = np.minimum(0.4, (drives["stop_upper"] - drives["stop_lower"]) / 2)
+    assert (poses >= np.maximum(drives["stop_lower"], -np.pi) + margin - 1e-12).all()
+    assert (poses <= np.minimum(drives["stop_upper"], np.pi) - margin + 1e-12).all()
+    assert (np.ptp(poses, axis=0) > 0.5 * (drives["stop_upper"] - drives["stop_lower"] - 2 * margin)).all()
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from(["payload", "offset", "pose", "gains", "drive", "fault", "seed"]),
+        st.recursive(
+            st.one_of(
+                st.integers(-5, 5), st.floats(allow_nan=True), st.booleans(), st.text("ab1 .", max_size=3)
+            ),
+            lambda inner: st.one_of(
+                st.lists(inner, max_size=3),
+                st.dictionaries(st.sampled_from(["low", "high", "R", "kind", "random"]), inner, max_size=3),
+            ),
+            max_leaves=5,
+        ),
+    )
+)
+@settings(max_examples=200, deadline=None)
+def test_any_axes_are_understood_or_refused(axes):
+    from conftest import toml
+
+    text = HEAD + "axes = " + toml(axes) if axes else HEAD
+    spec = None
+    with contextlib.suppress(InputError):  # whatever else comes is a traceback for the user
+        spec = Spec.parse(text, None)
+    if spec is not None:
+        assert spec.size >= 1
+        assert sorted(i for k in range(spec.chunks) for i in spec.chunk_indices(k)) == list(range(spec.size))

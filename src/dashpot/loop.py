@@ -144,6 +144,20 @@ def _ranges(plant: Plant) -> dict[str, tuple[float, float]]:
     }
 
 
+def check(scenario: Scenario) -> None:
+    """Checks a scenario without running it.
+
+    Raises:
+        InputError: As `dashpot.simulate.run` would.
+    """
+    plant, controller = scenario.plant, scenario.controller
+    _check(scenario)
+    _drives(scenario, plant)
+    _events(scenario)
+    controlled = controller.joints if controller else ()
+    native_faults(scenario.faults, plant, controlled, scenario.trajectory, scenario.seed)
+
+
 class Loop:
     """One run of a scenario, which may be cut into pieces: `advance` goes on where it stopped.
 

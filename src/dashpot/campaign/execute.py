@@ -12,8 +12,8 @@ from typing import Any
 
 from dashpot.campaign.scenario import Campaign
 from dashpot.campaign.store import Block, Store, run_chunk
-from dashpot.design.workers import _deaf_to_interrupts, _pool, cores
 from dashpot.errors import DashpotError, InputError
+from dashpot.workers import cores, deaf_to_interrupts, pool_of
 
 AHEAD = 2  # chunks per worker that wait for it
 CONNECT = 15  # [s] to reach a scheduler
@@ -79,12 +79,12 @@ def _prepare() -> None:
 
 
 def _local(campaign: Campaign, todo: list[int], workers: int) -> Iterator[Block]:
-    with _pool(workers) as pool:
+    with pool_of(workers) as pool:
         waiting: set[Future[Block]] = set()
         rest = iter(todo)
         try:
             while True:
-                with _deaf_to_interrupts():
+                with deaf_to_interrupts():
                     for chunk in rest:
                         waiting.add(pool.submit(chunk_of, campaign, chunk))
                         if len(waiting) >= AHEAD * workers:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 import importlib.metadata
 import json
 import math
@@ -22,13 +21,17 @@ from dashpot.campaign.measures import measure
 from dashpot.campaign.spec import Spec
 from dashpot.controller import Controller, ControllerConfig, load_controller
 from dashpot.errors import DashpotError, InputError
+from dashpot.faults import Fault
+from dashpot.loop import check
 from dashpot.motionfile import read_motion
 from dashpot.payload import Payload
 from dashpot.plant import Plant, build
 from dashpot.recording import Recording
+from dashpot.release import release_events, tracking_events
+from dashpot.rivals.gravity import with_feedforward
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
-from dashpot.simulate import Event, Scenario, run
+from dashpot.simulate import Scenario, run
 from dashpot.testbench import tap
 from dashpot.trajectory import Trajectory, hold, multisine
 
@@ -123,7 +126,7 @@ class Campaign:
         return {
             (NO_FAULT if value == NO_FAULT else value["name"]): ()
             if value == NO_FAULT
-            else tuple(_fault(part, self.spec.file) for part in value["faults"])
+            else tuple(Fault.from_table(part, file=self.spec.file) for part in value["faults"])
             for value in axis.values
         }
 
@@ -172,8 +175,14 @@ class Campaign:
         gains = tuple((key, value) for key, value in values.items() if key.startswith("gains."))
         controller = self._keep("controller", (name, gains), lambda: self._controller(name, gains))
         moved = tuple(values.get(key) for key in ("pose", "amplitude", "trajectory"))
-        path = self._keep("path", (period, moved), lambda: self._path(values, period))
-        events = [] if spec.release is None else [Event(spec.release, "all", "position_loop", False)]
+        plain = self._keep("path", (period, moved), lambda: self._path(values, period))
+        config = self.config(name, gains)
+        path = self._keep(
+            "fed", (name, gains, period, moved), lambda: with_feedforward(self.robot, config, plain)
+        )
+        events = tracking_events(config, path.start)
+        if spec.release is not None:
+            events += release_events(config, spec.release)
         external = tap(path, len(self.robot.joints), spec.tap) if spec.tap else None
         faults = self.faults[_fault_label(values)]
         more: dict[str, Any] = {"faults": faults} if faults else {}
@@ -288,12 +297,7 @@ class Campaign:
                 self._probe({**base, axis.name: value})
 
     def _probe(self, values: Mapping[str, Any]) -> None:
-        from dashpot.simulate import _check, _drives, _events
-
-        scenario = self.assemble(self.setting(0, values))
-        _check(scenario)
-        _drives(scenario)
-        _events(scenario)
+        check(self.assemble(self.setting(0, values)))
 
     def measure(self, setting: Setting, scenario: Scenario, recording: Recording) -> dict[str, Any]:
         """Measures of a run of a scenario (`dashpot.campaign.measures`)."""
@@ -324,19 +328,6 @@ def versions() -> dict[str, str]:
 def _fault_label(values: Mapping[str, Any]) -> str:
     fault = values.get("fault", NO_FAULT)
     return NO_FAULT if fault == NO_FAULT else str(fault["name"])
-
-
-def _fault(table: Mapping[str, Any], file: object) -> Any:
-    try:
-        module = importlib.import_module("dashpot.faults")
-    except ModuleNotFoundError:
-        raise InputError(
-            f'this version simulates no faults; only "{NO_FAULT}" is valid',
-            file=file,
-            quantity="axes.fault",
-            value=dict(table),
-        ) from None
-    return module.Fault.from_table(table, file=file)
 
 
 def _file(spec: Spec, name: str) -> str:

@@ -17,9 +17,9 @@ from dashpot.campaign.scenario import OK, Campaign
 from dashpot.campaign.spec import PRESETS, Spec
 from dashpot.campaign.store import Block, Store, attributes, campaign_of, check_same, create, open_dataset
 from dashpot.commands import quiet_engine
+from dashpot.commands.aside import run_aside
 from dashpot.commands.campaign_view import progress_bar, show_plan, show_replay, show_results
 from dashpot.commands.shared import check_place
-from dashpot.commands.simulate import _run
 from dashpot.commands.simulate_view import draw, show
 from dashpot.errors import DashpotError, InputError
 from dashpot.output import whole_folder
@@ -124,7 +124,7 @@ def replay(options: Replay) -> int:
         for key, value in setting.values.items()
     }
     with whole_folder(options.out) as folder:
-        recording = _run(scenario)
+        recording = run_aside(scenario)
         recording.settings |= {
             "controller": name,
             "payload_kg": setting.payload.mass,

@@ -16,10 +16,10 @@ from dashpot.design.conflicts import Conflict
 from dashpot.design.design import Design, JointDesign, design_joint, duties
 from dashpot.design.spec import WISHES, Spec
 from dashpot.design.wishes import Wishes
-from dashpot.design.workers import cores, each
 from dashpot.errors import InputError, InputWarning
 from dashpot.output import whole_folder
 from dashpot.robot import Robot
+from dashpot.workers import cores, each
 
 if TYPE_CHECKING:
     from dashpot.cli import Design as Options

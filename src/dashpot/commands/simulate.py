@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,11 +18,10 @@ from dashpot.output import whole_folder
 from dashpot.payload import Payload
 from dashpot.plant import Plant, build, with_payload
 from dashpot.plots import save
-from dashpot.recording import Recording
 from dashpot.release import release_events, tracking_events
 from dashpot.rivals.gravity import with_feedforward
 from dashpot.robot import MAX_ANGLE, Robot
-from dashpot.simulate import Event, Scenario, run
+from dashpot.simulate import Event, Scenario
 from dashpot.supervisor import SupervisorSettings
 from dashpot.testbench import tap
 from dashpot.trajectory import Trajectory, hold, multisine
@@ -31,7 +29,8 @@ from dashpot.trajectory import Trajectory, hold, multisine
 if TYPE_CHECKING:
     from dashpot.cli import Simulate
 
-from dashpot.commands import NATIVE_LOOP, quiet_engine
+from dashpot.commands import quiet_engine
+from dashpot.commands.aside import run_aside
 from dashpot.commands.simulate_faults import marks, read_changes, read_faults
 from dashpot.commands.simulate_view import draw, show
 
@@ -73,7 +72,7 @@ def simulate(options: Simulate) -> int:
         events += release_events(config, options.release, bypassed)
     with whole_folder(options.out) as folder:
         external = tap(path, len(robot.drives), options.tap) if options.tap else None
-        recording = _run(
+        recording = run_aside(
             Scenario(
                 plant,
                 controller,
@@ -142,25 +141,6 @@ def _offset(options: Simulate) -> float | tuple[float, float, float]:
         case (x, y, z):
             return x, y, z
     raise InputError("must be one number or three", quantity="--offset [m]", value=options.offset)
-
-
-def _run(scenario: Scenario) -> Recording:
-    """`run` on a thread of its own: Ctrl-C need not wait for the native loop."""
-    done: list[Recording] = []
-    failed: list[BaseException] = []
-
-    def work() -> None:
-        try:
-            done.append(run(scenario))
-        except BaseException as error:
-            failed.append(error)
-
-    thread = threading.Thread(target=work, name=NATIVE_LOOP, daemon=True)
-    thread.start()
-    thread.join()
-    if failed:
-        raise failed[0]
-    return done[0]
 
 
 def _path(options: Simulate, robot: Robot, period: float) -> Trajectory:

@@ -19,9 +19,9 @@ from dashpot.design.conflicts import Conflict, conflict
 from dashpot.design.search import DOUBT, Found, JointSearch
 from dashpot.design.spec import DEFAULT_PERIOD, Spec
 from dashpot.design.wishes import NEED_LOOP, Wishes
-from dashpot.design.workers import each
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
+from dashpot.workers import each
 
 FRONT = 5  # most points of the trade-off that are tested to the end
 PREDICTED = (

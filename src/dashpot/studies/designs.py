@@ -25,10 +25,10 @@ from dashpot.design.design import design_joint, duties
 from dashpot.design.search import COSTLY, JointSearch
 from dashpot.design.spec import Spec
 from dashpot.design.wishes import PRESETS
-from dashpot.design.workers import cores
 from dashpot.robot import Robot
 from dashpot.studies.designs_bench import SWING, bench, creep, load_error, stop
 from dashpot.studies.designs_cases import random_duty, scattered
+from dashpot.workers import cores
 
 COMPARED = ("stop_time", "creep", "error_ratio")
 DRIVES, POINTS = 50, 100_000

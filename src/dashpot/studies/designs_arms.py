@@ -19,7 +19,6 @@ from dashpot.design.design import Design, design_arm, duties
 from dashpot.design.search import COSTLY, G, JointSearch
 from dashpot.design.spec import NO_LIMIT, Spec
 from dashpot.design.wishes import Wishes
-from dashpot.design.workers import cores
 from dashpot.errors import InputWarning
 from dashpot.payload import Payload
 from dashpot.plant import build
@@ -29,6 +28,7 @@ from dashpot.sampled import Floats
 from dashpot.simulate import Event, Scenario, run
 from dashpot.studies.designs_cases import scattered
 from dashpot.trajectory import multisine
+from dashpot.workers import cores
 
 DESIGNED_FOR = 3.0  # [kg]
 UNSEEN = (0.0, 0.7, 1.9, 4.0)  # [kg]; the last is more than was designed for

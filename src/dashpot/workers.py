@@ -48,8 +48,8 @@ def each(
             done.append(function(task))
             advance()
         return done
-    with _pool(workers) as pool:
-        with _deaf_to_interrupts():
+    with pool_of(workers) as pool:
+        with deaf_to_interrupts():
             futures: list[Future[Result]] = [pool.submit(function, task) for task in tasks]
         try:
             for future in as_completed(futures):
@@ -63,7 +63,7 @@ def each(
 
 
 @contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+def pool_of(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Processes that end at once when this one is stopped, whatever they are at."""
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(workers, get_context("spawn"), warnings.simplefilter, ("ignore", InputWarning))
@@ -78,7 +78,7 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 @contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
+def deaf_to_interrupts() -> Iterator[None]:
     """Processes started here leave Ctrl-C to this one, which ends them."""
     if not hasattr(signal, "pthread_sigmask"):
         yield

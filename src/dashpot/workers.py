@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -15,6 +16,7 @@ from typing import TypeVar
 
 from dashpot.errors import DashpotError, InputWarning
 
+PATIENCE = 2.0  # [s] with a pool whose processes have been killed
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -62,6 +64,11 @@ def each(
         return [future.result() for future in futures]
 
 
+def is_manager(thread: threading.Thread) -> bool:
+    """Whether a thread looks after a pool of processes; the interpreter waits for it before it ends."""
+    return type(thread).__name__ == "_ExecutorManagerThread"
+
+
 @contextmanager
 def pool_of(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Processes that end at once when this one is stopped, whatever they are at."""
@@ -71,10 +78,14 @@ def pool_of(workers: int) -> Iterator[ProcessPoolExecutor]:
         yield pool
     except BaseException:
         for process in set(multiprocessing.active_children()) - others:
-            process.terminate()
+            process.kill()
+        # Not waited for long: a process may have died with a lock of the pool's queues in its hands.
+        pool.shutdown(wait=False, cancel_futures=True)
+        for thread in threading.enumerate():
+            if is_manager(thread):
+                thread.join(PATIENCE)
         raise
-    finally:
-        pool.shutdown(cancel_futures=True)
+    pool.shutdown()
 
 
 @contextmanager

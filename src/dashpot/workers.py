@@ -89,6 +89,34 @@ def pool_of(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 @contextmanager
+def remembered_interrupts() -> Iterator[Callable[[], None]]:
+    """Gives a function that stops again what has been told to stop by Ctrl-C.
+
+    A KeyboardInterrupt that comes up in a finaliser is lost; a long loop asks once per round.
+    """
+    seen = False
+
+    def note(*_: object) -> None:
+        nonlocal seen
+        seen = True
+        raise KeyboardInterrupt
+
+    def ask() -> None:
+        if seen:
+            raise KeyboardInterrupt
+
+    main = threading.current_thread() is threading.main_thread()
+    if not main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield ask
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield ask
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@contextmanager
 def deaf_to_interrupts() -> Iterator[None]:
     """Processes started here leave Ctrl-C to this one, which ends them."""
     if not hasattr(signal, "pthread_sigmask"):

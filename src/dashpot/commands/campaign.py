@@ -24,6 +24,7 @@ from dashpot.commands.simulate_view import draw, show
 from dashpot.errors import DashpotError, InputError
 from dashpot.output import whole_folder
 from dashpot.plots import save
+from dashpot.workers import remembered_interrupts
 
 if TYPE_CHECKING:
     from dashpot.cli import Campaign as Options
@@ -73,12 +74,13 @@ def campaign(options: Options) -> int:
     show_plan(plan, out, before)
     done = before
     try:
-        with progress_bar(spec.size, before) as advance:
+        with remembered_interrupts() as stop_if_told, progress_bar(spec.size, before) as advance:
 
             def written(block: Block) -> None:
                 nonlocal done
                 done += len(block.status)
                 advance(block)
+                stop_if_told()
 
             execute(plan, store, workers=options.workers, scheduler=options.scheduler, advance=written)
     except KeyboardInterrupt:

@@ -18,9 +18,12 @@ def document(result: Mapping[str, Any]) -> str:
 
 
 def _lines(result: Mapping[str, Any]) -> Iterator[str]:
-    brakes, trackers = ({row["scenarios"] for row in result[part]} for part in ("brakes", "trackers"))
-    yield f"{max(brakes)} runs per arm and brake ({min(brakes)} for the last arm) and {max(trackers)} per tracker,"
-    yield f"a third of them with each payload; `{result['command']}`."
+    most, apart, tracked = (
+        pick(row["scenarios"] for row in result[part])
+        for pick, part in ((max, "brakes"), (min, "brakes"), (max, "trackers"))
+    )
+    yield f"{most} runs per arm and brake ({apart} for the last arm), {tracked} per tracker, a third of them"
+    yield f"with each payload; `{result['command']}`."
     for arm in dict.fromkeys(row["arm"] for row in result["brakes"]):
         yield from ("", f"**Brakes, {TRY[arm]}**", "")
         yield from _brakes([row for row in result["brakes"] if row["arm"] == arm])

@@ -18,6 +18,7 @@ from dashpot.studies import rivals_arms_cases as cases
 from dashpot.studies import rivals_arms_measures as measures
 from dashpot.studies.rivals_arms_tables import document, draw
 from dashpot.studies.rivals_bench import BENCH
+from dashpot.studies.rivals_tuning import ENTRIES
 from dashpot.trajectory import hold
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -116,7 +117,7 @@ def test_every_rival_is_there_and_had_the_same_budget(evidence):
     assert names == [(arm.name, rival.name) for arm in (K807, FR3) for rival in study.TRACKERS]
     runs = 3 * evidence["seeds_per_payload"]
     assert {row["scenarios"] for row in evidence["brakes"] if row["arm"] != HEAVY.name} == {runs}
-    for entry in study.ENTRIES:
+    for entry in ENTRIES:
         key = f"{'brake' if entry.brake else 'tracker'} {entry.law}"
         for kinds in evidence["tuning"].values():
             for kind in kinds.values():

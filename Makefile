@@ -6,7 +6,7 @@ NATIVE := $(wildcard native/*) CMakeLists.txt pyproject.toml
 # An editable install knows the modules it was made with: one that comes or goes touches its folder.
 FOLDERS := $(shell find src -type d -not -name __pycache__)
 
-.PHONY: demo test lint bench evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals clean
+.PHONY: demo test lint bench evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms clean
 
 demo: $(VENV)/.installed
 	$(BIN)/dashpot reproduce --out out/paper
@@ -48,6 +48,10 @@ evidence-design: $(VENV)/.installed
 evidence-rivals: $(VENV)/.installed
 	$(BIN)/python -m dashpot.studies.rivals_tuning > docs/evidence/rivals.json.part
 	mv docs/evidence/rivals.json.part docs/evidence/rivals.json
+
+# About an hour and a half on two cores: every brake and tracker on whole arms, 504 runs per arm and brake.
+evidence-rivals-arms: $(VENV)/.installed
+	$(BIN)/python -m dashpot.studies.rivals_arms
 
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "dashpot needs Python 3.11 or newer; try: make PYTHON=python3.11")'

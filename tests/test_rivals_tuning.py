@@ -44,7 +44,7 @@ def test_the_same_controller_under_two_names_is_judged_alike():
     assert one[0].value == max(one[0].parts.values()) < study.BROKEN
     assert one[0].parts["none"] < one[0].parts["half"] < one[0].parts["largest"]
     # At rest the load over kp is missing; the motion's error comes on top.
-    assert one[0].parts["largest"] > study.LOAD / 2000
+    assert one[0].parts["largest"] > study.BENCH.load / 2000
 
 
 def test_a_set_beyond_a_limit_ranks_behind_all_within():
@@ -58,9 +58,9 @@ def test_tuning_is_replayed_by_its_seed_and_spends_its_budget(monkeypatch):
     spent = []
     judge = study.judge
 
-    def counting(entry, laws):
+    def counting(entry, laws, *on):
         spent.append(len(laws))
-        return judge(entry, laws)
+        return judge(entry, laws, *on)
 
     monkeypatch.setattr(study, "judge", counting)
     monkeypatch.setattr(study, "PAYLOADS", {"half": 0.5})

@@ -80,7 +80,7 @@ def settle(
     for _ in range(ITERATIONS):
         data.qpos[plant.rotor_qpos], data.qpos[drives["spring_qpos"]] = rotor, deflection
         mujoco.mj_forward(plant.model, data)
-        torque = np.array(data.qfrc_bias[plant.rotor_dof])
+        torque = np.array((data.qfrc_bias - data.qfrc_gravcomp)[plant.rotor_dof])
         inputs[:, TORQUE] = drives["sensor_gain"] * torque + drives["sensor_bias"]
         inputs[:, IN_EFFECT] = torque
         before = rotor, deflection

@@ -21,12 +21,10 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import tempfile
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,22 +32,18 @@ from scipy.stats import qmc
 
 from dashpot.certify.certificate import certify_joint
 from dashpot.certify.joint import sampled_joint
-from dashpot.certify.loads import Load, loops
-from dashpot.controller import Controller, ControllerConfig, JointGains, Law, joint_block
-from dashpot.drive import Drive
+from dashpot.certify.loads import loops
+from dashpot.controller import Controller, Law, joint_block
 from dashpot.errors import InputWarning
 from dashpot.laws import law_from_table
-from dashpot.plant import Plant, build
 from dashpot.recording import Recording
-from dashpot.robot import Robot
 from dashpot.sampled import Floats, without_encoder
 from dashpot.simulate import Event, Scenario, run_many
-from dashpot.testbench import write
+from dashpot.studies.rivals_bench import BENCH, SCALES, Bench
 from dashpot.trajectory import Trajectory, hold, multisine
 
 BUDGET, GLOBAL, ROUNDS = 400, 256, 6
-PERIOD, SEED = 1e-3, 1
-INERTIA, HEAVIEST, LOAD = 0.6, 1.4, 25.0  # link's own [kg m^2], the largest payload's [kg m^2] and [N m]
+SEED = 1
 PAYLOADS: Mapping[str, float] = {"none": 0.0, "half": 0.5, "largest": 1.0}
 SPEED, RUN_UP, WATCH = 0.5, 0.7, 5.0  # [rad/s] before the loss, [s] until it, [s] after it
 MOVER = 20.0  # [rad/s] of the loop that moves a brake's joint until then
@@ -76,11 +70,11 @@ class Entry:
     tuned: Mapping[str, Range]
     fixed: Mapping[str, float]
 
-    def at(self, point: Floats) -> Law:
-        """The law at a point of the unit cube."""
+    def at(self, point: Floats, bench: Bench = BENCH) -> Law:
+        """The law at a point of the unit cube, its ranges scaled to the drive (`Bench.scale`)."""
         values = dict(self.fixed)
         for (key, (low, high)), share in zip(self.tuned.items(), point, strict=True):
-            value = float(f"{low * (high / low) ** share:.4g}")
+            value = float(f"{bench.scale(SCALES.get(key, 0)) * low * (high / low) ** share:.4g}")
             values.update({"gain": 1 - value} if key == "slack" else {key: value})
         return law_from_table({"name": "joint", "law": self.law, **values})
 
@@ -123,60 +117,44 @@ class Judged:
     damping: float
 
 
-@cache
-def drive() -> Drive:
-    """Joint 2 of the bundled fr3."""
-    robot = Robot.load("fr3")
-    return replace(robot.drives[1], name="joint")
+def scenarios(
+    entry: Entry, law: Law, bench: Bench = BENCH, mover: Mapping[str, float] | None = None
+) -> list[Scenario]:
+    """The runs on which a law is judged: per payload the stop, or motion and rest.
 
-
-@cache
-def plant(share: float) -> Plant:
-    """The joint with a share of the largest payload's inertia on its link."""
-    with tempfile.TemporaryDirectory() as folder:
-        law = JointGains("joint", R=1.0, D=1.0)
-        load = Load("inertia", INERTIA + share * HEAVIEST)
-        robot, _ = write(Path(folder), load, drive(), law, config(law))
-        return build(Robot.load(robot), PERIOD)
-
-
-def config(law: Law) -> ControllerConfig:
-    """One joint at `PERIOD`, the torque averaged."""
-    return ControllerConfig((law,), period=PERIOD)
-
-
-def scenarios(entry: Entry, law: Law) -> list[Scenario]:
-    """The runs on which a law is judged: per payload the stop, or motion and rest."""
+    A brake's joint is moved by the position loop ``mover`` (kp, kd); None: at `MOVER`, critically damped.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
         if entry.brake:  # the same loop moves the joint until the encoder is lost
-            total = INERTIA + HEAVIEST + drive().rotor_inertia
-            mover: dict[str, Any] = {"kp": total * MOVER**2, "kd": 2 * total * MOVER}
-            law = replace(law, **mover)
-        controller = Controller.from_config(config(law), [drive()])
+            total = bench.inertia + bench.heaviest + bench.drive.rotor_inertia
+            loop: dict[str, Any] = {"kp": total * MOVER**2, "kd": 2 * total * MOVER}
+            law = replace(law, **(loop if mover is None else dict(mover)))
+        controller = Controller.from_config(bench.config(law), [bench.drive])
     made = []
     for share in PAYLOADS.values():
-        for path in (_even(),) if entry.brake else (_motion(), hold([0.0], REST, PERIOD)):
-            if entry.law == "pd_gravity":  # the load pulls by -LOAD: the torque that holds it is +LOAD
-                path = replace(path, torque=np.full_like(path.position, ASSUMED * LOAD))
-            pull = np.full((len(path.position), 1), -share * LOAD)
+        period = bench.period
+        for path in (_even(period),) if entry.brake else (_motion(period), hold([0.0], REST, period)):
+            if entry.law == "pd_gravity":  # the load pulls by -load: the torque that holds it is +load
+                path = replace(path, torque=np.full_like(path.position, ASSUMED * bench.load))
+            pull = np.full((len(path.position), 1), -share * bench.load)
             events = _loss(law) if entry.brake else []
-            made.append(Scenario(plant(share), controller, path, events, pull, SEED))
+            made.append(Scenario(bench.plant(share), controller, path, events, pull, SEED))
     return made
 
 
 @cache
-def _even() -> Trajectory:
-    time = PERIOD * np.arange(round((RUN_UP + WATCH) / PERIOD))
+def _even(period: float) -> Trajectory:
+    time = period * np.arange(round((RUN_UP + WATCH) / period))
     share = np.clip(time / (RUN_UP / 2), 0, 1)
     speed = SPEED * share**2 * (3 - 2 * share)
-    angle = np.cumsum(speed) * PERIOD
-    return Trajectory(PERIOD, angle[:, None], speed[:, None], np.gradient(speed, PERIOD)[:, None])
+    angle = np.cumsum(speed) * period
+    return Trajectory(period, angle[:, None], speed[:, None], np.gradient(speed, period)[:, None])
 
 
 @cache
-def _motion() -> Trajectory:
-    return multisine([0.0], MOTION, PERIOD, SEED, amplitude=0.3, lead_in=0.0)
+def _motion(period: float) -> Trajectory:
+    return multisine([0.0], MOTION, period, SEED, amplitude=0.3, lead_in=0.0)
 
 
 def _loss(law: Law) -> list[Event]:
@@ -194,7 +172,7 @@ def _seen(scenario: Scenario, found: Recording) -> tuple[float, float, float]:
     noise = float((command[last] - slope(time[last])).std())
     if scenario.events:
         after = found.link_position[time >= RUN_UP - 1e-9, 0]
-        first = round(1 / PERIOD)
+        first = round(1 / scenario.trajectory.period)
         way = float(np.abs(np.diff(after[: first + 1])).sum() + abs(after[-1] - after[first]))
         return way, float(np.abs(command[time > RUN_UP]).max()), noise
     error = (found.link_position - found.reference)[:, 0]
@@ -203,25 +181,27 @@ def _seen(scenario: Scenario, found: Recording) -> tuple[float, float, float]:
     return float(abs(error[last].mean())), 0.0, noise
 
 
-def least_damping(law: Law, brake: bool) -> float:
+def least_damping(law: Law, brake: bool, bench: Bench = BENCH) -> float:
     """Least damping ratio of an oscillation of the sampled joint with any of the payloads [-]."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
-        block = joint_block(law, drive(), config(law))
+        block = joint_block(law, bench.drive, bench.config(law))
     block = without_encoder(block) if brake and not law.keeps_encoder else block
-    inertias = np.array([INERTIA + share * HEAVIEST for share in PAYLOADS.values()])
-    joint = sampled_joint(drive(), block, "average", PERIOD)
+    inertias = np.array([bench.inertia + share * bench.heaviest for share in PAYLOADS.values()])
+    joint = sampled_joint(bench.drive, block, bench.sampling, bench.period)
     values = np.linalg.eigvals(loops(joint, inertias, 0 * inertias)).astype(complex).ravel()
     s = np.log(values[(np.abs(values) > 1e-6) & (np.abs(values - 1) > 1e-7)])
     ratio = np.where(np.abs(s.imag) > 1e-4, -s.real / np.abs(s), np.where(s.real > 1e-7, -1.0, 1.0))
     return float(ratio.min())
 
 
-def judge(entry: Entry, laws: list[Law]) -> list[Judged]:
+def judge(
+    entry: Entry, laws: list[Law], bench: Bench = BENCH, mover: Mapping[str, float] | None = None
+) -> list[Judged]:
     """Simulates and judges laws of one entry."""
-    every = [scenarios(entry, law) for law in laws]
+    every = [scenarios(entry, law, bench, mover) for law in laws]
     found: list[Any] = run_many([one for some in every for one in some], reduce=_seen)
-    size, limit, judged = len(every[0]), drive().torque_limit, []
+    size, limit, judged = len(every[0]), bench.drive.torque_limit, []
     own = size // len(PAYLOADS)
     for i, law in enumerate(laws):
         mine = found[i * size : (i + 1) * size]
@@ -229,7 +209,7 @@ def judge(entry: Entry, laws: list[Law]) -> list[Judged]:
             name: sum(part[0] for part in mine[j * own : (j + 1) * own]) for j, name in enumerate(PAYLOADS)
         }
         used, noise = max(part[1] for part in mine) / limit, max(part[2] for part in mine) / limit
-        damping = least_damping(law, entry.brake)
+        damping = least_damping(law, entry.brake, bench)
         broken = max(used / AUTHORITY - 1, noise / NOISE - 1, DAMPING - damping, 0.0)
         value = max(parts.values()) if broken == 0 else BROKEN * (1 + min(broken, BROKEN))
         judged.append(Judged(value, parts, used, noise, damping))
@@ -237,30 +217,35 @@ def judge(entry: Entry, laws: list[Law]) -> list[Judged]:
 
 
 def tune(
-    entry: Entry, budget: int = BUDGET, seed: int = SEED, progress: Callable[[str], None] | None = None
+    entry: Entry,
+    budget: int = BUDGET,
+    seed: int = SEED,
+    progress: Callable[[str], None] | None = None,
+    bench: Bench = BENCH,
+    mover: Mapping[str, float] | None = None,
 ) -> tuple[Law, Judged, int]:
     """The best of `budget` sets of numbers, how it was judged, and how many kept the limits."""
     axes = len(entry.tuned)
     if not axes:
-        law = entry.at(np.zeros(0))
-        result = judge(entry, [law])[0]
+        law = entry.at(np.zeros(0), bench)
+        result = judge(entry, [law], bench, mover)[0]
         return law, result, int(result.value < BROKEN)
     sobol = qmc.Sobol(axes, scramble=True, seed=seed)
     first = min(GLOBAL, 1 << max(1, (budget * GLOBAL // BUDGET).bit_length() - 1))
     points, judged = sobol.random(first), []
-    judged = judge(entry, [entry.at(point) for point in points])
+    judged = judge(entry, [entry.at(point, bench) for point in points], bench, mover)
     width, left = 0.25, budget - first
     for turn in range(ROUNDS):
         some = left // (ROUNDS - turn)
         left -= some
         best = points[int(np.argmin([one.value for one in judged]))]
         around = np.clip(best + width * (2 * sobol.random(some) - 1), 0, 1)
-        judged += judge(entry, [entry.at(point) for point in around])
+        judged += judge(entry, [entry.at(point, bench) for point in around], bench, mover)
         points, width = np.concatenate([points, around]), width / 2
         if progress is not None:
             progress(f"{entry.law}: {len(points)} of {budget}")
     best_of = int(np.argmin([one.value for one in judged]))
-    return entry.at(points[best_of]), judged[best_of], sum(one.value < BROKEN for one in judged)
+    return entry.at(points[best_of], bench), judged[best_of], sum(one.value < BROKEN for one in judged)
 
 
 def study(budget: int = BUDGET, seed: int = SEED, entries: tuple[Entry, ...] = ENTRIES) -> dict[str, Any]:
@@ -270,7 +255,7 @@ def study(budget: int = BUDGET, seed: int = SEED, entries: tuple[Entry, ...] = E
         law, found, feasible = tune(entry, budget, seed)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", InputWarning)
-            verdict = certify_joint(drive(), law, config(law))
+            verdict = certify_joint(BENCH.drive, law, BENCH.config(law))
         rows.append(
             {
                 "law": entry.law,

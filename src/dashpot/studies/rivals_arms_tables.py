@@ -1,0 +1,127 @@
+"""Tables and figure of `dashpot.studies.rivals_arms`, from its JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+BEGIN, END = "<!-- rivals_arms: made by its command -->", "<!-- rivals_arms: end -->"
+TRY = {"k807": "wrist of the k807, 200 Hz", "fr3": "fr3 with its own weight balanced, 1 kHz"}
+TRY |= {"fr3 with its weight": "fr3 with its own weight, which nothing carries, 1 kHz"}
+
+
+def document(result: Mapping[str, Any]) -> str:
+    """The part of docs/rivals.md between `BEGIN` and `END`."""
+    return "\n".join([BEGIN, *_lines(result), END])
+
+
+def _lines(result: Mapping[str, Any]) -> Iterator[str]:
+    most, apart, tracked = (
+        pick(row["scenarios"] for row in result[part])
+        for pick, part in ((max, "brakes"), (min, "brakes"), (max, "trackers"))
+    )
+    yield f"{most} runs per arm and brake ({apart} for the last arm), {tracked} per tracker, a third of them"
+    yield f"with each payload; `{result['command']}`."
+    for arm in dict.fromkeys(row["arm"] for row in result["brakes"]):
+        yield from ("", f"**Brakes, {TRY[arm]}**", "")
+        yield from _brakes([row for row in result["brakes"] if row["arm"] == arm])
+    for arm in dict.fromkeys(row["arm"] for row in result["trackers"]):
+        yield from ("", f"**Trackers, {TRY[arm]}**", "")
+        yield from _trackers([row for row in result["trackers"] if row["arm"] == arm])
+
+
+def _brakes(rows: list[Any]) -> Iterator[str]:
+    payloads = list(rows[0]["payloads"])
+    head = ["brake", "certified", "oscillates", *(f"stop angle, {p} kg [mrad]" for p in payloads)]
+    head += ["stop time [s]", "peak torque [% of limit]", "drift in 1.5 s [mrad]"]
+    yield from _head(head)
+    for row in rows:
+        cells = [row["name"], _verdict(row["certified"]), _growth(row["oscillates"])]
+        cells += [_pair(row["payloads"][p]["stop_angle"], 1e3) for p in payloads]
+        every = row["all"]
+        cells += [_pair(every["stop_time"], 1.0, "never"), _pair(every["peak_torque"], 100)]
+        yield _row([*cells, _pair(every["drift"], 1e3)])
+
+
+def _trackers(rows: list[Any]) -> Iterator[str]:
+    payloads = list(rows[0]["payloads"])
+    head = ["tracker", "certified", "oscillates", *(f"error, {p} kg [mrad]" for p in payloads)]
+    yield from _head([*head, "error, 95 % [mrad]", "worst payload [kg]", "noise torque [% of limit]"])
+    for row in rows:
+        cells = [row["name"], _verdict(row["certified"]), _growth(row["oscillates"])]
+        cells += [_error(row["payloads"][p], 0) for p in payloads] + [_error(row["all"], 1)]
+        yield _row([*cells, f"{row['worst_payload']:g}", _one(row["noise_torque"], 100, "-")])
+
+
+def _error(found: Mapping[str, list[float | None]], which: int) -> str:
+    return " ± ".join(_one(found[name][which], 1e3, "diverges") for name in ("error_mean", "error_std"))
+
+
+def _head(names: list[str]) -> Iterator[str]:
+    yield _row(names)
+    yield "|" + "---|" * len(names)
+
+
+def _row(cells: list[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _verdict(certified: bool | None) -> str:
+    return "as above" if certified is None else "yes" if certified else "no"
+
+
+def _growth(found: Mapping[str, float] | None) -> str:
+    return "no" if found is None else f"{found['frequency']:.3g} Hz with {found['payload']:g} kg"
+
+
+def _one(value: float | None, scale: float, never: str) -> str:
+    if value is None:
+        return never
+    value *= scale
+    return f"{value:.0f}" if value >= 100 else f"{value:.2g}" if value >= 1e-3 else "0"
+
+
+def _pair(values: list[float | None], scale: float, never: str = "diverges") -> str:
+    return " / ".join(_one(value, scale, never) for value in values)
+
+
+def write_document(result: Mapping[str, Any], docs: Path) -> None:
+    """Puts the tables into rivals.md and draws images/rivals-arms.png."""
+    path = docs / "rivals.md"
+    text = path.read_text(encoding="utf-8")
+    before, rest = text.split(BEGIN)
+    _, after = rest.split(END)
+    path.write_text(before + document(result) + after, encoding="utf-8")
+    draw(result, docs / "images" / "rivals-arms.png")
+
+
+def draw(result: Mapping[str, Any], path: Path) -> None:
+    """How far the worst joint gets: 5 to 95 %, 25 to 75 % and median of all runs, per brake and arm."""
+    from matplotlib.ticker import FuncFormatter
+
+    from dashpot.plots import BLUE, GREY, VERMILLION, new_figure, save
+
+    arms = list(dict.fromkeys(row["arm"] for row in result["brakes"]))
+    figure, axes = new_figure(1, len(arms), 10.5, 3.6, sharey=True)
+    for axis, arm in zip(axes[0], arms, strict=True):
+        rows = [row for row in result["brakes"] if row["arm"] == arm]
+        for i, row in enumerate(rows):
+            low, quarter, median, most, high = (
+                math.nan if value is None else math.degrees(value) for value in row["stop_angle_quantiles"]
+            )
+            ours, bound = row["name"].startswith("virtual"), row["name"].startswith("encoder")
+            colour = VERMILLION if ours else GREY if bound else BLUE
+            axis.plot([low, high], [i, i], color=colour, lw=1.2, solid_capstyle="butt")
+            axis.plot([quarter, most], [i, i], color=colour, lw=6, alpha=0.45, solid_capstyle="butt")
+            axis.plot([median], [i], "D" if ours else "s" if bound else "o", color=colour, ms=5)
+        axis.set_xscale("log")
+        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_title({"k807": "k807 wrist", "fr3": "fr3, balanced"}.get(arm, arm))
+        axis.set_xlabel("stop angle of the worst joint [deg]")
+        axis.grid(axis="y", visible=False)
+    names = [row["name"] for row in result["brakes"] if row["arm"] == arms[0]]
+    axes[0][0].set_yticks(range(len(names)), names)
+    axes[0][0].set_ylim(len(names) - 0.5, -0.5)
+    save(figure, path, pdf=False)

@@ -118,10 +118,15 @@ def test_one_scenario_of_every_fault_ends_as_documented(campaign, tmp_path):
 
 
 def test_the_evidence_counts_what_was_run_and_goes_on_where_it_was_stopped(tmp_path):
-    small = PRESET.replace("pose = { random = 10 }", 'pose = ["home"]').replace("points = 12", "points = 2")
-    small = small.replace("payload = [0.0, 1.5, 3.0]", "payload = [0.0]").replace(
-        "duration = 1.8", "duration = 0.9"
-    )
+    small = PRESET
+    for old, new in (
+        ("pose = { random = 10 }", 'pose = ["home"]'),
+        ("points = 12", "points = 2"),
+        ("payload = [0.0, 1.5, 3.0]", "payload = [0.0]"),
+        ("duration = 1.8", "duration = 0.9"),
+    ):
+        assert small.count(old) == 1
+        small = small.replace(old, new)
     spec = Spec.parse(small.replace("seed = 1 ", "chunk = 7\nseed = 1 "), None)
     part = evidence(spec, tmp_path / "part.zarr", 8, workers=0)
     assert (part["scenarios"], part["of"]) == (14, 56)

@@ -70,7 +70,7 @@ def parse(text, head=HEAD):
         ("[requirements]\nerror = {max = 1.0}", "unknown key"),
         ("[requirements]\ntorque_peak_deg = {max = 1.0}", "unknown key"),
         ("[requirements]\nerror_max = 1.0", "must be a table"),
-        ("[requirements]\nerror_max = {quantile = 0.5}", "needs a max or a min"),
+        ("[requirements]\nerror_max = {quantile = 0.5}", "needs a max, a min or an in"),
         ("[requirements]\nerror_max = {max = nan}", "must be a finite number"),
         ("[requirements]\nerror_max = {max = 1.0, quantile = 0.0}", "above 0 and at most 1"),
         ("[requirements]\nerror_max = {max = 1.0, min = 2.0}", "min exceeds max"),

@@ -12,7 +12,6 @@ import json
 import math
 import shlex
 import sys
-import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -51,14 +50,14 @@ def evidence(
     order = np.random.default_rng(SEED).permutation(spec.chunks).tolist()
     sizes = np.cumsum([len(spec.chunk_indices(chunk)) for chunk in order])
     taken = len(order) if scenarios is None else int(np.searchsorted(sizes, scenarios)) + 1
-    store, begin = Store(out, campaign), time.monotonic()
+    store = Store(out, campaign)
     try:
         with progress_bar(int(sizes[min(taken, len(order)) - 1]), 0) as advance:
             execute(campaign, store, workers=workers, advance=advance, chunks=order[:taken])
     finally:
         store.close()
     with open_dataset(out) as dataset:
-        return {"seconds": round(time.monotonic() - begin)} | summary(spec, dataset)
+        return summary(spec, dataset)
 
 
 def summary(spec: Spec, dataset: Any) -> dict[str, Any]:

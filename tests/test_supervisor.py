@@ -402,7 +402,7 @@ def test_tracking_raises_no_alarm(name, controller, payload):
         assert worst < 0.8  # the rotor balance, as a part of its limit
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [1])
 def test_a_stop_on_request_comes_to_rest_and_stays(seed):
     rig = arm("k807", "k807-wrist", payload=3.0 * seed, seed=seed)
     rig.go(300)

@@ -58,6 +58,7 @@ int dp_supervisor_init(dp_supervisor *s, const dp_rules *rules, const dp_watch *
     if (!(rules->period > 0.0) || !finite(rules->period) || !(rules->still_speed >= 0.0) || !(rules->drift >= 0.0))
         return -1;
     if (rules->torque_age < 0 || rules->encoder_age < 0 || rules->debounce < 1 || rules->stop_ticks < 1 ||
+        rules->brake_ticks < 1 ||
         rules->still_ticks < 1 || rules->half_cycles < 2 || rules->window < 1)
         return -1;
     for (int j = 0; j < n; j++) {
@@ -65,7 +66,7 @@ int dp_supervisor_init(dp_supervisor *s, const dp_rules *rules, const dp_watch *
         /* what is compared or multiplied with signals: finite, so that no product is not a number */
         const double number[] = {w->inertia, w->viscous, w->inertia_error, w->viscous_error, w->torque_error,
                                  w->torque_lag, w->torque_mid, w->allowance, w->noise, w->torque_range, w->torque_rate,
-                                 w->torque_jump, w->speed_limit, w->jump, w->mismatch, w->bias_limit, w->moving,
+                                 w->torque_jump, w->speed_limit, w->jump, w->stand, w->mismatch, w->bias_limit, w->moving,
                                  w->floor, w->damping, w->hold};
         for (unsigned i = 0; i < sizeof number / sizeof *number; i++)
             if (!(number[i] >= 0.0 && number[i] <= 1e12))
@@ -326,6 +327,13 @@ static void watch_joint(dp_supervisor *s, const dp_controller *c, int j, const d
     check_torque(s, j, in[DP_IN_TORQUE * n + j], torque_age);
     check_encoder(s, j, q, v, encoder_age);
 
+    /* A frozen encoder under a smooth motion is hidden by friction in the rotor balance. It does not follow. */
+    const double reference = in[DP_IN_POSITION_REF * n + j];
+    if (s->state != DP_TRACK || !state->position_loop || first_encoder || (o->encoder_usable && q != o->position))
+        o->reference = reference;
+    else if (!o->encoder_lost && size(reference - o->reference) > w->stand)
+        lose_encoder(s, j, DP_WHY_ENCODER_STANDS, reference - o->reference, w->stand, o->same_position + 1);
+
     const int fresh = o->torque_usable && o->encoder_usable && torque_age == 0 && encoder_age == 0;
     if (fresh && o->fresh && s->state != DP_SAFE) /* the mechanical brake is in no rotor balance */
         fuse(s, j, q, v, before_torque, u);
@@ -354,7 +362,8 @@ static void watch_joint(dp_supervisor *s, const dp_controller *c, int j, const d
             o->band[2] = u;
         }
         follow(&o->load, o->torque, r->speed_gain);
-        listen(s, j, u, o->encoder_usable ? o->velocity : o->observed);
+        if (s->state != DP_SAFE) /* where the motor feeds nothing, and a closed brake makes the link ring */
+            listen(s, j, u, o->encoder_usable ? o->velocity : o->observed);
     }
     const int failed = state->status & DP_NOT_FINITE && s->state <= DP_TORQUE_BRAKE && s->tick > 0;
     if (tally(&o->law_bad, failed && o->torque_usable && (o->encoder_usable || s->state != DP_TRACK), r))
@@ -391,8 +400,13 @@ static void check_stop(dp_supervisor *s)
             fastest = size(o->speed);
             joint = j;
         }
-        if (s->stopped && !o->encoder_lost && size(o->position - o->rest) > r->drift)
-            raise_event(s, DP_EV_NOT_STOPPED, j, DP_WHY_DRIFT, o->position - o->rest, r->drift);
+        if (!s->stopped && s->since == r->brake_ticks)
+            o->rest = o->position;
+        /* A load that the brake cannot hold must not have until stop_ticks to fall; and where another joint's
+         * encoder is lost, nothing else looks at this one. */
+        if ((s->stopped || s->since > r->brake_ticks) && !o->encoder_lost && size(o->position - o->rest) > r->drift)
+            raise_event(s, DP_EV_NOT_STOPPED, j, s->stopped ? DP_WHY_DRIFT : DP_WHY_SAG, o->position - o->rest,
+                        r->drift);
     }
     if (s->events & DP_EV_ENCODER_LOST) {
         if (s->since >= r->stop_ticks)

@@ -40,7 +40,9 @@ enum {
     DP_WHY_ENCODER_INCONSISTENT, DP_WHY_ENCODER_FROZEN,
     DP_WHY_TORQUE_NOT_FINITE, DP_WHY_TORQUE_STALE, DP_WHY_TORQUE_RANGE, DP_WHY_TORQUE_RATE,
     DP_WHY_TORQUE_STUCK, DP_WHY_TORQUE_RESIDUAL, DP_WHY_RESIDUAL_AT_REST,
-    DP_WHY_LAW_NOT_FINITE, DP_WHY_OSCILLATION, DP_WHY_STOP_LATE, DP_WHY_BLIND, DP_WHY_DRIFT, DP_NWHY
+    DP_WHY_LAW_NOT_FINITE, DP_WHY_OSCILLATION, DP_WHY_STOP_LATE, DP_WHY_BLIND, DP_WHY_DRIFT, DP_WHY_SAG,
+    DP_WHY_ENCODER_STANDS,
+    DP_NWHY
 };
 
 /* DP_LOG holds every decision between two resets: each signal is lost once, each other reason acts once. */
@@ -61,6 +63,7 @@ typedef struct {
     double lower, upper;          /* joint range [rad] */
     double speed_limit;           /* [rad/s] */
     double jump;                  /* position step that is not motion [rad] */
+    double stand;                 /* by which a reference may move while the encoder does not [rad] */
     double mismatch;              /* of velocity and differenced position, at rest [rad/s] */
     double bias_limit;            /* largest bias that is taken off [N m] */
     double moving;                /* speed from which friction has its full size [rad/s] */
@@ -77,9 +80,10 @@ typedef struct {
     double residual_gain, speed_gain, load_gain, bias_gain;
     double band_gain;             /* of the high-pass of the oscillation monitor */
     double still_speed;           /* [rad/s] */
-    double drift;                 /* from where it came to rest [rad] */
+    double drift;                 /* from where it came to rest, or from where it should have slowed down [rad] */
     double release;               /* period / time over which SAFE takes the torque away */
     int torque_age, encoder_age;  /* oldest sample that is used [ticks] */
+    int brake_ticks;              /* after which a braked joint may move on by `drift` and no more */
     int debounce;                 /* ticks of bad samples until trust is lost */
     int stop_ticks, still_ticks;  /* a brake's time to stop; time at rest that counts as stopped */
     int half_cycles;              /* of an oscillation that is fed and does not decay */
@@ -109,7 +113,8 @@ typedef struct {
     double peak, peaks[2], first_peak;   /* of the half-cycle so far, of the last two, of the first counted */
     double fed[2], heat[2];              /* motor's work and viscous heat of the last two half-cycles [J/period] */
     double held;                         /* torque kept by ENCODER_BRAKE */
-    double rest;                         /* where it was when the arm came to rest [rad] */
+    double rest;                         /* where it was when the arm came to rest, or brake_ticks on [rad] */
+    double reference;                    /* at the last change of position [rad] */
     double entry, anchor;                /* speed when ENCODER_BRAKE began; where it holds the joint */
     double history[DP_HISTORY];          /* of speed */
     double drives[DP_HISTORY];           /* of drive */

@@ -155,6 +155,8 @@ def check(scenario: Scenario) -> None:
     _drives(scenario, plant)
     _events(scenario)
     controlled = controller.joints if controller else ()
+    for change in scenario.payload_changes:
+        tick_of(change.time, scenario.trajectory, "payload change")
     native_faults(scenario.faults, plant, controlled, scenario.trajectory, scenario.seed)
 
 

@@ -19,7 +19,7 @@ import dashpot._native as _native
 from dashpot.controller import Controller, Sampling
 from dashpot.drive import Drive
 from dashpot.errors import InputError
-from dashpot.sampled import IN_EFFECT, NX, TORQUE, Floats
+from dashpot.sampled import IN_EFFECT, NX, POSITION_REF, TORQUE, Floats
 from dashpot.tables import check_numbers, number
 
 State = Literal["track", "torque_brake", "encoder_brake", "safe"]
@@ -67,6 +67,8 @@ REASONS = (
     Reason("stop_late", "the joint did not come to rest in time", "rad/s"),
     Reason("blind", "nobody can see whether the arm has stopped", "s"),
     Reason("drift", "the joint leaves the place where it came to rest", "rad"),
+    Reason("sag", "the joint moves on under the brake", "rad"),
+    Reason("encoder_stands", "the encoder stands while the reference moves on", "rad"),
 )
 """In the order of ``DP_WHY_*`` in native/dashpot_supervisor.h."""
 
@@ -120,6 +122,8 @@ class SupervisorSettings:
         torque_age: Oldest torque sample that is used [ticks].
         encoder_age: Oldest encoder sample that is used [ticks].
         speed_limit: No joint moves faster [rad/s].
+        stand: By which the reference may move while the encoder repeats itself [rad]: more than it takes the
+            position loop to overcome friction.
         torque_range: Range of the torque sensor, as a multiple of the drive's torque limit [-].
         friction_margin: Relative half-width of friction, where the drive states none [-].
         model_margin: The same of rotor inertia and viscous friction [-]; both are lower bounds where it does.
@@ -133,7 +137,9 @@ class SupervisorSettings:
         stop_time: A brake must have stopped the arm after it [s].
         still_speed: Slower counts as at rest [rad/s].
         still_time: For so long [s].
-        drift: Distance from where the arm came to rest that closes the mechanical brake [rad].
+        brake_time: After it a braked joint may move on by `drift` [s].
+        drift: Distance that closes the mechanical brake: from where the arm came to rest, and before it has,
+            from where the joint was `brake_time` after the brake began [rad].
         release_time: Over which the last fallback takes the torque away, the mechanical brake closing [s].
         keep_load: Whether the encoder brake goes on holding the motor torque there was before the fault,
             the mean of a tenth of a second.
@@ -143,6 +149,7 @@ class SupervisorSettings:
     torque_age: int = 2
     encoder_age: int = 2
     speed_limit: float = number("rad/s", 0, 1e3, open_low=True, typical=(0.1, 30), default=2 * math.pi)
+    stand: float = number("rad", 0, 10, open_low=True, default=0.03)
     torque_range: float = number("-", 0, 100, open_low=True, default=2.0)
     friction_margin: float = number("-", 0, 10, default=0.5)
     model_margin: float = number("-", 0, 1, default=0.1)
@@ -156,6 +163,7 @@ class SupervisorSettings:
     stop_time: float = number("s", 0, 60, open_low=True, default=2.0)
     still_speed: float = number("rad/s", 0, 10, open_low=True, default=0.02)
     still_time: float = number("s", 0, 10, open_low=True, default=0.1)
+    brake_time: float = number("s", 0, 60, open_low=True, default=0.3)
     drift: float = number("rad", 0, 10, open_low=True, default=0.1)
     release_time: float = number("s", 0, 10, open_low=True, default=0.1)
     keep_load: bool = True
@@ -182,6 +190,7 @@ _WATCH += (
     "upper",
     "speed_limit",
     "jump",
+    "stand",
     "mismatch",
     "bias_limit",
     "moving",
@@ -195,7 +204,16 @@ WATCH_DTYPE = np.dtype(
 )
 """Layout of ``dp_watch`` in native/dashpot_supervisor.h."""
 _GAINS = ("residual_gain", "speed_gain", "load_gain", "bias_gain", "band_gain")
-_COUNTS = ("torque_age", "encoder_age", "debounce", "stop_ticks", "still_ticks", "half_cycles", "window")
+_COUNTS = (
+    "torque_age",
+    "encoder_age",
+    "brake_ticks",
+    "debounce",
+    "stop_ticks",
+    "still_ticks",
+    "half_cycles",
+    "window",
+)
 RULES_DTYPE = np.dtype(
     [
         *((name, "f8") for name in ("period", *_GAINS, "still_speed", "drift", "release")),
@@ -243,6 +261,7 @@ def rules_record(settings: SupervisorSettings, period: float) -> NDArray[np.void
     for key in ("torque_age", "encoder_age", "debounce", "keep_load"):
         record[key] = getattr(settings, key)
     record["stop_ticks"] = max(1, round(settings.stop_time / period))
+    record["brake_ticks"] = max(1, round(settings.brake_time / period))
     record["still_ticks"] = max(1, round(settings.still_time / period))
     record["half_cycles"] = 2 * settings.oscillation_cycles
     record["window"] = window
@@ -297,6 +316,8 @@ def watch_record(
     record["torque_jump"] = 4 * s.speed_limit * c + 2 * sigmas * noise + drive.hysteresis
     record["lower"], record["upper"] = limits
     record["speed_limit"], record["jump"] = s.speed_limit, 2 * resolution
+    # Without a position loop nothing has to follow.
+    record["stand"] = s.stand if block["D"][POSITION_REF] else 1e12
     record["mismatch"] = 0.02 * s.speed_limit + 2 * gain * resolution / period
     record["bias_limit"] = bias
     record["moving"] = max(0.02, 4 * resolution / period)

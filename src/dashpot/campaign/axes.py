@@ -243,7 +243,7 @@ def _names(name: str, entry: Any, file: object) -> tuple[Any, ...]:
 
 
 def _faults(entry: Any, file: object) -> tuple[Any, ...]:
-    """Faults: "none", a table, or a table with a name and a list of faults."""
+    """Faults: "none", a fault's table, or a table with a name, a list of faults and changes of payload."""
     values: list[Any] = []
     for item in entry if isinstance(entry, list) else [entry]:
         if item == NO_FAULT:
@@ -251,23 +251,36 @@ def _faults(entry: Any, file: object) -> tuple[Any, ...]:
             continue
         if not isinstance(item, Mapping):
             raise InputError(
-                f'must be "{NO_FAULT}" or a table with a kind and a start',
+                f'must be "{NO_FAULT}" or a table with a kind and a start, or with payload_at',
                 file=file,
                 quantity="axes.fault",
                 value=item,
             )
         table = dict(item)
         name = table.pop("name", None)
-        parts = table.pop("faults", [table])
+        loads = table.pop("payload_at", [])
+        parts = table.pop("faults", [table] if table else [])
         if "faults" in item:
             check_keys(table, set(), set(), file=f"{file}: axes.fault")
-        if not isinstance(parts, list) or not parts or not all(isinstance(part, Mapping) for part in parts):
-            raise InputError("must be a list of tables", file=file, quantity="axes.fault.faults", value=parts)
+        for key, rows in (("faults", parts), ("payload_at", loads)):
+            if not isinstance(rows, list) or not all(isinstance(row, Mapping) for row in rows):
+                raise InputError(
+                    "must be a list of tables", file=file, quantity=f"axes.fault.{key}", value=rows
+                )
+        if not parts and not loads:
+            raise InputError("needs faults or payload_at", file=file, quantity="axes.fault", value=dict(item))
         if name is None:
-            name = " + ".join(_fault_name(part) for part in parts)
+            loaded = (f"payload {row.get('mass', '?')} kg" for row in loads)
+            name = " + ".join([*map(_fault_name, parts), *loaded])
         if not isinstance(name, str) or not name:
             raise InputError("must be a text", file=file, quantity="axes.fault.name", value=name)
-        values.append({"name": name, "faults": tuple(dict(part) for part in parts)})
+        values.append(
+            {
+                "name": name,
+                "faults": tuple(dict(part) for part in parts),
+                "payload_at": tuple(dict(row) for row in loads),
+            }
+        )
     distinct(tuple(map(value_label, values)), "axes.fault", file)
     return tuple(values)
 

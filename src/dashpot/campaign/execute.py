@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
@@ -28,6 +28,7 @@ def execute(
     workers: int | None = None,
     scheduler: str | None = None,
     advance: Callable[[Block], None] = lambda _: None,
+    chunks: Sequence[int] | None = None,
 ) -> None:
     """Runs every chunk that is not done and writes it.
 
@@ -37,11 +38,15 @@ def execute(
         workers: Local processes; 0: run here; None: one per core.
         scheduler: Address of a Dask scheduler, which then runs the chunks.
         advance: Called with every chunk written.
+        chunks: Only these, in this order; None: all.
 
     Raises:
         DashpotError: Workers were lost; what is done is kept.
     """
     todo = store.pending()
+    if chunks is not None:
+        waiting = set(todo)
+        todo = [chunk for chunk in chunks if chunk in waiting]
     if scheduler is not None:
         results = _dask(campaign, todo, scheduler)
     elif workers == 0:

@@ -86,6 +86,8 @@ def _broken(
     values = data.values.reshape(status.size, -1).astype(float)
     lost = status[:, None] > OK
     broken = lost | (values > requirement.high) | (values < requirement.low)
+    if requirement.among:
+        broken |= ~np.isin(values, requirement.among) & ~np.isnan(values)
     applies = (lost | (status[:, None] == OK) & ~np.isnan(values)) & selected(requirement, spec, dataset)[
         :, None
     ]
@@ -97,7 +99,8 @@ def selected(requirement: Requirement, spec: Spec, dataset: Any) -> NDArray[np.b
     chosen = np.ones(spec.size, bool)
     for name, value in requirement.where:
         along = dataset[spec.axis(name).label]
-        chosen &= (along == value).broadcast_like(dataset["status"]).transpose(*spec.dims).values.ravel()
+        found = along.isin(list(value)) if isinstance(value, tuple) else along == value
+        chosen &= found.broadcast_like(dataset["status"]).transpose(*spec.dims).values.ravel()
     return chosen
 
 
@@ -114,6 +117,8 @@ def _judge(requirement: Requirement, spec: Spec, dataset: Any) -> Verdict:
     if upwards and math.isfinite(requirement.low):
         badness = np.maximum(values - requirement.high, requirement.low - values)
         badness = np.where(np.isnan(values), np.inf, badness)
+    if requirement.among:
+        badness = broken.astype(float)
     badness = np.where(applies, badness, -np.inf)
     # The worst joint keeps it least often; of equals, the one that comes closest to breaking it.
     j = int(np.lexsort((-badness.max(0), share))[0])
@@ -123,8 +128,8 @@ def _judge(requirement: Requirement, spec: Spec, dataset: Any) -> Verdict:
     column = np.sort(badness[applies[:, j], j])
     at = column[min(math.ceil(requirement.quantile * len(column)) - 1, len(column) - 1)]
     quantile = float(at if upwards else -at)
-    if upwards and math.isfinite(requirement.low):
-        quantile = math.nan  # of a two-sided bound there is no single one
+    if requirement.among or (upwards and math.isfinite(requirement.low)):
+        quantile = math.nan  # of these there is no single one
     kept = int(counts[j] - (broken & applies)[:, j].sum())
     assured = float(betaincinv(kept, counts[j] - kept + 1, 1 - ASSURED)) if kept else 0.0
     holds = bool((share >= requirement.quantile - 1e-12).all())

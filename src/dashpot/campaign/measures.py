@@ -12,17 +12,21 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from dashpot.controller import NOT_FINITE, RATE_LIMITED, TORQUE_LIMITED
+from dashpot.faults import BRAKE_DELAY
 from dashpot.recording import Recording
 from dashpot.sampled import Floats
+from dashpot.supervisor import STATES
 from dashpot.vibration import CORNER, WINDOW
 
 NOISE_CORNER = 30.0  # [Hz] commanded torque above it is noise, not motion
 SLOWED = 0.05  # of the speed at the event: a joint that has stopped
 AT_REST = math.radians(0.5)  # [rad/s] slower than this is at rest in any case
 STAYS = 0.05  # [s] for which a stopped joint must stay slow
+RESTS = 0.02  # [rad/s] slower than this is at rest under a brake; the supervisor's still_speed
 LAST = 1.0  # [s] at the end over which drift is taken
 
 
@@ -64,13 +68,30 @@ MEASURES = {
     "not_finite": Measure(
         "-", "share of the time in which any joint's input or torque was not finite", False
     ),
+    "rate_share": Measure("-", "largest change of the torque command per tick over the rate limit's"),
+    "supervisor_state": Measure("-", "at the end: track 0, torque_brake 1, encoder_brake 2, safe 3", False),
+    "brake_closed": Measure("-", "1: the supervisor has closed the mechanical brake", False),
+    "time_to_decision": Measure(
+        "s", f"until the supervisor's first decision, {_AFTER}; negative: before it; inf: none", False
+    ),
+    "oscillated": Measure("-", "1: the supervisor found an oscillation that the motor keeps up", False),
+    "stopped": Measure(
+        "-",
+        f"1: no controlled rotor faster than {RESTS:g} rad/s, mean of the last 50 ms, of a stopped arm",
+        False,
+    ),
     "diverged_at": Measure("s", "time at which the simulation diverged; inf: never", False),
 }
 """Measures by name; `measure` gives them all."""
 
 
 def measure(
-    recording: Recording, event: float | None, limits: Floats, controlled: Sequence[str]
+    recording: Recording,
+    event: float | None,
+    limits: Floats,
+    controlled: Sequence[str],
+    rates: Floats | None = None,
+    stiffness: Floats | None = None,
 ) -> dict[str, Any]:
     """All measures of a run.
 
@@ -79,6 +100,8 @@ def measure(
         event: Time of the release or first fault [s], or None.
         limits: Torque limits of the drives, (n,) [N m].
         controlled: Joints under the controller; only they are made to stop.
+        rates: Torque rate limits of the drives, (n,) [N m/s], infinite where there is none; None: everywhere.
+        stiffness: Of the transmissions, (n,) [N m/rad]: rotors are where link and torque say; None: infinite.
 
     Returns:
         Name -> (n,) array or number, as in `MEASURES`. Of a run that diverged all is NaN but `limited`,
@@ -109,6 +132,11 @@ def measure(
     found["speed_peak"] = np.abs(recording.link_velocity).max(0)
     found["torque_peak"] = np.abs(recording.in_effect).max(0)
     found["torque_share"] = found["torque_peak"] / limits
+    if rates is not None and len(time) > 1:
+        stepped = recording.command[_powered(recording)]
+        found["rate_share"] = np.abs(np.diff(stepped, axis=0)).max(0) / (rates * period)
+    soft = 0.0 if stiffness is None else recording.torque / stiffness
+    found |= _decided(recording, event, controlled, period, recording.link_position + soft)
     moving = slice(begin, None)
     found["torque_noise"] = rms(above(recording.command[moving], period, NOISE_CORNER))
     swing = above(recording.sample[moving], period, CORNER)
@@ -118,6 +146,45 @@ def measure(
         earlier = rms(swing[-2 * window : -window])
         found["growth"] = np.divide(found["vibration"], earlier, out=np.full(n, np.nan), where=earlier > 0)
     return found
+
+
+def _decided(
+    recording: Recording, event: float | None, controlled: Sequence[str], period: float, rotor: Floats
+) -> dict[str, Any]:
+    """What the supervisor did and whether it was right; nothing where none ran."""
+    said: Any = recording.settings.get("supervisor")
+    if said is None:
+        return {}
+    decisions = said["decisions"]
+    found = {
+        "supervisor_state": float(STATES.index(said["state"])),
+        "brake_closed": float(said["apply_brake"]),
+        "oscillated": float(any(decision["reason"] == "oscillation" for decision in decisions)),
+    }
+    if event is not None:
+        found["time_to_decision"] = decisions[0]["time"] - event if decisions else math.inf
+    # Judged once the supervisor says that the arm has stopped, or the mechanical brake has had its time.
+    end, closed = float(recording.time[-1]), [d["time"] for d in decisions if d["after"] == "safe"]
+    if (closed and end - closed[0] >= BRAKE_DELAY + STAYS) or said["stopped"]:
+        braked = [joint in controlled for joint in recording.joints]
+        ticks = min(max(1, round(STAYS / period)), len(rotor) - 1)
+        # The link may go on swinging behind a closed brake; it goes nowhere.
+        speed = np.abs(rotor[-1] - rotor[-1 - ticks])[braked] / (ticks * period)
+        found["stopped"] = float(speed.max() < RESTS)
+    return found
+
+
+def _powered(recording: Recording) -> NDArray[np.bool_]:
+    """Ticks at which the controller was called, (ticks,): in a brownout nobody limits a rate."""
+    on = np.ones(len(recording.time), bool)
+    faults: Any = recording.settings.get("faults", ())
+    period = float(recording.time[1] - recording.time[0])
+    for fault in faults:
+        if fault["kind"] == "brownout":
+            first = round((fault["start"] - recording.time[0]) / period)
+            last = max(round((min(fault.get("end", math.inf), 1e9) - recording.time[0]) / period), first + 1)
+            on[max(first, 0) : last] = False
+    return on
 
 
 def stops(angle: Floats, velocity: Floats, period: float) -> dict[str, Floats]:

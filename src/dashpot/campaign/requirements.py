@@ -12,7 +12,7 @@ from dashpot.errors import InputError
 from dashpot.tables import as_float, check_keys
 
 DEGREES = "_deg"
-KEYS = {"min", "max", "quantile", "joint", "where"}
+KEYS = {"min", "max", "in", "quantile", "joint", "where"}
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,10 @@ class Requirement:
         measure: Name in `MEASURES`.
         low: Least value [SI].
         high: Largest value [SI].
+        among: The only values allowed, of a measure that counts; empty: any within the bounds.
         quantile: Share of the judged scenarios that must keep the bounds [-]; 1: every one.
         joint: The joint judged; None: every joint, each by itself.
-        where: Axes and values (grid labels) that select the judged scenarios.
+        where: Axes and values (grid labels, or tuples of them) that select the judged scenarios.
         degrees: Whether it was written in degrees.
     """
 
@@ -36,6 +37,7 @@ class Requirement:
     joint: str | None = None
     where: tuple[tuple[str, Any], ...] = ()
     degrees: bool = False
+    among: tuple[float, ...] = ()
 
     @property
     def name(self) -> str:
@@ -62,8 +64,13 @@ class Requirement:
             for word, bound in (("at least", self.low), ("at most", self.high))
             if math.isfinite(bound)
         ]
+        if self.among:
+            parts.append(f"in {', '.join(f'{value * self.factor:g}' for value in self.among)}{unit}")
         share = "" if self.quantile == 1 else f" in {100 * self.quantile:g} %"
-        where = "".join(f", {axis} = {value}" for axis, value in self.where)
+        where = "".join(
+            f", {axis} = {' | '.join(map(str, value)) if isinstance(value, tuple) else value}"
+            for axis, value in self.where
+        )
         of = "" if self.joint is None else f" of {self.joint}"
         return f"{self.measure}{of} {' and '.join(parts)}{share}{where}"
 
@@ -85,13 +92,25 @@ def parse_requirements(table: Mapping[str, Any], file: object) -> tuple[Requirem
     return tuple(found)
 
 
+def where_of(chosen: Mapping[str, Any]) -> tuple[tuple[str, Any], ...]:
+    """``where`` as it is kept: lists as tuples."""
+    return tuple((axis, tuple(v) if isinstance(v, list) else v) for axis, v in chosen.items())
+
+
 def _requirement(name: str, key: str, degrees: bool, item: Any, file: object) -> Requirement:
     where = f"requirements.{key}"
     if not isinstance(item, Mapping):
         raise InputError("must be a table, e.g. { max = 0.1 }", file=file, quantity=where, value=item)
     check_keys(item, KEYS, set(), file=f"{file}: {where}")
-    if "min" not in item and "max" not in item:
-        raise InputError("needs a max or a min", file=file, quantity=where, value=dict(item))
+    if not item.keys() & {"min", "max", "in"}:
+        raise InputError("needs a max, a min or an in", file=file, quantity=where, value=dict(item))
+    among = item.get("in", [])
+    if not isinstance(among, list) or not all(type(value) in (int, float) for value in among):
+        raise InputError("must be a list of numbers", file=file, quantity=f"{where}.in", value=among)
+    if "in" in item and (not among or item.keys() & {"min", "max"}):
+        raise InputError(
+            "must not be empty, nor stand beside max or min", file=file, quantity=f"{where}.in", value=among
+        )
     for bound in ("min", "max", "quantile"):
         value = item.get(bound, 0.5)
         if type(value) not in (int, float) or not math.isfinite(as_float(value)):
@@ -115,11 +134,16 @@ def _requirement(name: str, key: str, degrees: bool, item: Any, file: object) ->
             quantity=f"{where}.joint",
             value=joint,
         )
-    if not isinstance(chosen, Mapping) or not all(isinstance(v, str | int | float) for v in chosen.values()):
+    if not isinstance(chosen, Mapping) or not all(
+        isinstance(v, str | int | float)
+        or (isinstance(v, list) and v and all(isinstance(one, str | int | float) for one in v))
+        for v in chosen.values()
+    ):
         raise InputError(
-            'must be a table of axes and values, e.g. { fault = "none" }',
+            'must be a table of axes and values or lists of them, e.g. { fault = "none" }',
             file=file,
             quantity=f"{where}.where",
             value=chosen,
         )
-    return Requirement(name, low, high, quantile, joint, tuple(chosen.items()), degrees)
+    allowed = tuple(scale * as_float(value) for value in among)
+    return Requirement(name, low, high, quantile, joint, where_of(chosen), degrees, allowed)

@@ -16,12 +16,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from dashpot.campaign.axes import ADDED, NO_FAULT, Axis
+from dashpot.campaign.axes import ADDED, NO_FAULT
 from dashpot.campaign.measures import measure
+from dashpot.campaign.script import Script
 from dashpot.campaign.spec import Spec
 from dashpot.controller import Controller, ControllerConfig, load_controller
 from dashpot.errors import DashpotError, InputError
-from dashpot.faults import Fault
 from dashpot.loop import check
 from dashpot.motionfile import read_motion
 from dashpot.payload import Payload
@@ -35,7 +35,7 @@ from dashpot.simulate import Scenario, run
 from dashpot.testbench import tap
 from dashpot.trajectory import Trajectory, hold, multisine
 
-DURATION, LEAD_IN = 6.0, 1.0  # [s], as of `dashpot simulate`
+DURATION = 6.0  # [s], as of `dashpot simulate`
 MAX_TICKS = 1_000_000  # of one recording: about 1 GB of memory for seven joints
 KEPT = 16  # plants, controllers and trajectories that are kept for the next scenario
 POSES = 7  # stream of random numbers for poses, apart from the sample's
@@ -54,7 +54,7 @@ class Setting:
         values: Axis name -> value.
         payload: On the flange.
         seed: Of the sensor noise.
-        event: Time of the release or first fault [s], or None.
+        event: Time of the release, first fault or first change of payload [s], or None.
     """
 
     index: int
@@ -89,7 +89,7 @@ class Campaign:
         self._lock = Lock()
 
     def __getstate__(self) -> dict[str, Any]:
-        drop = ("_kept", "_lock", "sample", "faults")
+        drop = ("_kept", "_lock", "sample", "scripts")
         return {name: value for name, value in self.__dict__.items() if name not in drop}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -116,19 +116,18 @@ class Campaign:
         return self.spec.points(len(self.robot.joints))
 
     @cached_property
-    def faults(self) -> dict[str, tuple[Any, ...]]:
-        """The fault axis: name -> faults of `dashpot.faults`.
+    def scripts(self) -> dict[str, Script]:
+        """The fault axis: name -> what happens.
 
         Raises:
             InputError: A fault is not one that this version simulates.
         """
-        axis = self.spec.axis("fault") if self.spec.has("fault") else Axis("fault", values=(NO_FAULT,))
-        return {
-            (NO_FAULT if value == NO_FAULT else value["name"]): ()
-            if value == NO_FAULT
-            else tuple(Fault.from_table(part, file=self.spec.file) for part in value["faults"])
-            for value in axis.values
-        }
+        found = {NO_FAULT: Script()}
+        if self.spec.has("fault"):
+            for value in self.spec.axis("fault").values:
+                if value != NO_FAULT:
+                    found[value["name"]] = Script.from_value(value, self.spec.file)
+        return found
 
     def values(self, index: int) -> dict[str, Any]:
         """Value of every axis in a scenario.
@@ -154,7 +153,7 @@ class Campaign:
         """What a scenario is about."""
         spec, values = self.spec, self.values(index) if values is None else values
         times = [] if spec.release is None else [spec.release]
-        times += [float(fault.start) for fault in self.faults[_fault_label(values)]]
+        times += self.scripts[_fault_label(values)].times
         payload = Payload(values.get("payload", 0.0), values.get("offset", 0.0))
         return Setting(index, values, payload, values.get("seed", 0), min(times) if times else None)
 
@@ -184,10 +183,19 @@ class Campaign:
         if spec.release is not None:
             events += release_events(config, spec.release)
         external = tap(path, len(self.robot.joints), spec.tap) if spec.tap else None
-        faults = self.faults[_fault_label(values)]
-        more: dict[str, Any] = {"faults": faults} if faults else {}
-        label = f"scenario {setting.index}"
-        return Scenario(plant, controller, path, events, external, setting.seed, label, **more)
+        script = self.scripts[_fault_label(values)]
+        return Scenario(
+            plant,
+            controller,
+            path,
+            events,
+            external,
+            setting.seed,
+            f"scenario {setting.index}",
+            faults=script.faults_of(config),
+            payload_changes=script.changes(setting.payload, spec.file),
+            supervisor=spec.supervisor,
+        )
 
     def _plant(self, values: Mapping[str, Any], payload: Payload, period: float) -> Plant:
         errors = tuple((key, value) for key, value in values.items() if key.startswith("drive."))
@@ -262,19 +270,21 @@ class Campaign:
                     value=spec.motion,
                 )
             return read_motion(
-                path, self.robot, period, lead_in=LEAD_IN, duration=spec.duration, most=MAX_TICKS
+                path, self.robot, period, lead_in=spec.lead_in, duration=spec.duration, most=MAX_TICKS
             )
         duration = DURATION if spec.duration is None else spec.duration
-        if duration > MAX_TICKS * period:
+        if spec.lead_in + duration > MAX_TICKS * period:
             rule = f"must be at most {MAX_TICKS * period:g} s, {MAX_TICKS} ticks of {period:g} s"
-            raise InputError(rule, file=spec.file, quantity="duration [s]", value=duration)
+            raise InputError(
+                rule, file=spec.file, quantity="lead_in + duration [s]", value=spec.lead_in + duration
+            )
         pose = self.pose(values.get("pose", "home"))
         if spec.motion == "hold":
-            still = hold(pose, duration + LEAD_IN, period)
-            return replace(still, start=-LEAD_IN)
+            still = hold(pose, duration + spec.lead_in, period)
+            return replace(still, start=-spec.lead_in)
         amplitude = values.get("amplitude", spec.amplitude)
         seed = values.get("trajectory", 0)
-        return multisine(pose, duration, period, seed, amplitude=amplitude, lead_in=LEAD_IN)
+        return multisine(pose, duration, period, seed, amplitude=amplitude, lead_in=spec.lead_in)
 
     def check(self) -> None:
         """Checks every axis at its ends, before anything runs.
@@ -303,7 +313,8 @@ class Campaign:
         """Measures of a run of a scenario (`dashpot.campaign.measures`)."""
         limits = np.array([drive.torque_limit for drive in self.robot.drives])
         joints = () if scenario.controller is None else scenario.controller.joints
-        return measure(recording, setting.event, limits, joints)
+        rates = np.array([drive.torque_rate_limit for drive in self.robot.drives])
+        return measure(recording, setting.event, limits, joints, rates, scenario.plant.drives["stiffness"])
 
 
 def run_one(campaign: Campaign, index: int) -> tuple[int, str, dict[str, Any]]:

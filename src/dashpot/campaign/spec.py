@@ -6,7 +6,7 @@ import json
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
@@ -18,6 +18,7 @@ from dashpot.campaign.axes import NO_FAULT, Axis, distinct, parse_axes
 from dashpot.campaign.requirements import Requirement, parse_requirements
 from dashpot.errors import InputError
 from dashpot.sampled import Floats
+from dashpot.supervisor import SupervisorSettings
 from dashpot.tables import as_float, check_keys, check_numbers, number
 
 PRESETS = ("readiness",)
@@ -26,7 +27,7 @@ MOST = 10_000_000  # scenarios; each is named by an index that a person types
 CHUNK = 16  # scenarios at most that one worker runs before they are kept, unless said
 CHUNKS = 32  # a small campaign is cut into this many, so that every core has work
 KEYS = {
-    *("robot", "controller", "motion", "duration", "amplitude", "release", "tap"),
+    *("robot", "controller", "motion", "duration", "lead_in", "amplitude", "release", "tap", "supervisor"),
     *("sample", "count", "seed", "chunk", "axes", "poses", "requirements"),
 }
 
@@ -40,10 +41,12 @@ class Spec:
         controllers: Files or bundled names; several are the axis "controller".
         axes: Slowest first.
         motion: "multisine", "hold" or a CSV file.
-        duration: Of the motion after 1 s at rest [s]; None: 6 s, or the whole file.
+        duration: Of the motion after the lead-in [s]; None: 6 s, or the whole file.
+        lead_in: At rest before it [s].
         amplitude: Of the multisine [rad], where it is no axis.
         release: Time at which the position loop's offset is removed [s], or None.
         tap: Knock on the last link at time 0 [N m].
+        supervisor: Settings of the supervisor that runs in every scenario; None: none does.
         sample: "latin_hypercube", "sobol", or None: no axis is sampled.
         count: Points of the sample.
         seed: Of the sample and of random poses.
@@ -60,9 +63,11 @@ class Spec:
     axes: tuple[Axis, ...] = ()
     motion: str = "multisine"
     duration: float | None = number("s", 0, 1e5, open_low=True, default=None)
+    lead_in: float = number("s", 0, 1e3, default=1.0)
     amplitude: float = number("rad", 0, 4 * math.pi, default=0.3)
-    release: float | None = number("s", -1.0, 1e5, default=None)
+    release: float | None = number("s", -1e3, 1e5, default=None)
     tap: float = number("N m", -1e5, 1e5, default=0.0)
+    supervisor: SupervisorSettings | None = None
     sample: str | None = None
     count: int = 0
     seed: int = 0
@@ -114,11 +119,12 @@ class Spec:
                     raise self._refuse(
                         "no such axis in [axes]", f"requirements.{requirement.name}.where", axis
                     )
-                if not self.axis(axis).sampled and value not in self.axis(axis).labels:
-                    shown = ", ".join(map(str, self.axis(axis).labels))
-                    raise self._refuse(
-                        f"not on this axis: {shown}", f"requirements.{requirement.name}.where", value
-                    )
+                for one in value if isinstance(value, tuple) else (value,):
+                    if not self.axis(axis).sampled and one not in self.axis(axis).labels:
+                        shown = ", ".join(map(str, self.axis(axis).labels))
+                        raise self._refuse(
+                            f"not on this axis: {shown}", f"requirements.{requirement.name}.where", one
+                        )
 
     def _refuse(self, rule: str, quantity: str, value: object = None) -> InputError:
         return InputError(rule, file=self.file, quantity=quantity, value=value)
@@ -287,7 +293,7 @@ class Spec:
                 raise InputError("must be a text", file=file, quantity=key, value=table[key])
         pose = given.get("pose")
         margin = pose.get("margin") if isinstance(pose, dict) else None
-        for key in ("duration", "amplitude", "release", "tap"):
+        for key in ("duration", "lead_in", "amplitude", "release", "tap"):
             if type(table.get(key)) is int:
                 table[key] = as_float(table[key])
         return cls(
@@ -298,12 +304,35 @@ class Spec:
             requirements=parse_requirements(table.pop("requirements", {}), file),
             text=text,
             file=file,
+            supervisor=_supervisor(table.pop("supervisor", False), file),
             **table,
         )
 
     def path(self, name: str) -> Path:
         """A file named in the specification, relative to it."""
         return Path(name) if self.file is None else self.file.parent / name
+
+
+def _supervisor(entry: Any, file: object) -> SupervisorSettings | None:
+    """True, false, or a table of settings."""
+    if isinstance(entry, bool):
+        return SupervisorSettings() if entry else None
+    if not isinstance(entry, Mapping):
+        raise InputError(
+            "must be true, false or a table of settings", file=file, quantity="supervisor", value=entry
+        )
+    check_keys(entry, {f.name for f in fields(SupervisorSettings)}, set(), file=f"{file}: supervisor")
+    kinds = {f.name: f.type for f in fields(SupervisorSettings)}
+    values: dict[str, Any] = {
+        key: as_float(value) if kinds[key] == "float" and type(value) is int else value
+        for key, value in entry.items()
+    }
+    try:
+        return SupervisorSettings(**values)
+    except InputError as error:
+        raise InputError(
+            error.rule, file=file, quantity=f"supervisor.{error.quantity}", value=error.value
+        ) from None
 
 
 def _poses(table: Mapping[str, Any], file: object) -> dict[str, tuple[float, ...]]:

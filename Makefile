@@ -6,9 +6,8 @@ NATIVE := $(wildcard native/*) CMakeLists.txt pyproject.toml
 # An editable install knows the modules it was made with: one that comes or goes touches its folder.
 FOLDERS := $(shell find src -type d -not -name __pycache__)
 
-.PHONY: demo test lint bench evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms clean
-
-.PHONY: demo test lint bench evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-readiness clean
+.PHONY: demo test lint bench clean \
+        evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms evidence-readiness
 
 demo: $(VENV)/.installed
 	$(BIN)/dashpot reproduce --out out/paper

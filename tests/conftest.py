@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,10 @@ from threadpoolctl import threadpool_limits
 from dashpot.errors import InputError
 
 threadpool_limits(1, user_api="blas")  # the tests run in parallel; threads of small matrices only wait
+
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's background jobs, and what they start
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def toml(value: Any) -> str:

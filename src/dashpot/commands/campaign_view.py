@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import (
@@ -22,7 +21,6 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
 from rich.text import Text
 
 from dashpot.campaign.axes import Axis
@@ -32,6 +30,7 @@ from dashpot.campaign.requirements import Requirement
 from dashpot.campaign.scenario import OK, Campaign
 from dashpot.campaign.spec import Spec
 from dashpot.campaign.store import Block
+from dashpot.commands.shared import bare_table
 
 LISTED = 10  # failed scenarios that are named
 WIDTH = 110  # of tables that go to a file
@@ -81,7 +80,7 @@ def axis_words(axis: Axis) -> str:
 def show_plan(campaign: Campaign, out: Path, done: int) -> None:
     """Prints the axes."""
     spec = campaign.spec
-    table = _table(f"{campaign.robot.name}: {spec.size} scenarios")
+    table = bare_table(f"{campaign.robot.name}: {spec.size} scenarios")
     for name in ("axis", "unit", "values"):
         table.add_column(name)
     for axis in spec.axes:
@@ -119,7 +118,7 @@ def show_results(spec: Spec, dataset: Any, verdicts: Sequence[Verdict], out: Pat
     """Prints verdicts, failed scenarios and what to run next."""
     screen = console()
     if verdicts:
-        table = _table("Requirements")
+        table = bare_table("Requirements")
         for name in ("", "requirement", "kept", "worst"):
             table.add_column(
                 name, justify="right" if name == "kept" else "left", no_wrap=name in ("", "kept")
@@ -178,14 +177,3 @@ def _seeds(spec: Spec, dataset: Any) -> Any:
     if not spec.has("seed"):
         return np.zeros(spec.size, int)
     return dataset["seed"].broadcast_like(dataset["status"]).transpose(*spec.dims).values.ravel()
-
-
-def _table(title: str) -> Table:
-    return Table(
-        title=escape(title),
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-        collapse_padding=True,
-    )

@@ -38,9 +38,9 @@ def progress(label: str, steps: int) -> Iterator[Callable[[], None]]:
         yield lambda: bar.advance(task)
 
 
-def new_table(title: str) -> Table:
-    """A table in the house style, with its first column, the joint."""
-    table = Table(
+def bare_table(title: str) -> Table:
+    """A table in the house style, without columns."""
+    return Table(
         title=escape(title),
         title_justify="left",
         box=SIMPLE_HEAD,
@@ -48,6 +48,11 @@ def new_table(title: str) -> Table:
         pad_edge=False,
         collapse_padding=True,
     )
+
+
+def new_table(title: str) -> Table:
+    """A table in the house style, with its first column, the joint."""
+    table = bare_table(title)
     table.add_column("joint")
     return table
 

@@ -10,10 +10,10 @@ from typing import Any
 
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
+from dashpot.commands.shared import bare_table
 from dashpot.errors import InputError
 from dashpot.faults import KINDS, Fault
 from dashpot.payload import Payload
@@ -145,14 +145,7 @@ def _size(fault: Fault, robot: Robot) -> str:
 
 def listed(found: Sequence[Mark]) -> Table:
     """The marks as a table."""
-    table = Table(
-        title="What fails, what the flange carries, what the supervisor decides",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-        collapse_padding=True,
-    )
+    table = bare_table("What fails, what the flange carries, what the supervisor decides")
     for name in ("", "what", "joint"):
         table.add_column(name, no_wrap=True)
     for name in ("from [s]", "to [s]", "size"):

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from dashpot.commands.shared import bare_table
 from dashpot.commands.simulate_faults import Mark, draw_marks, legend_entries, listed
 from dashpot.controller import TORQUE_LIMITED, Controller
 from dashpot.plant import Plant
@@ -50,7 +50,7 @@ def show(
 ) -> None:
     """Prints the table per joint, the release and the faults if there were any, and where the picture is."""
     console = Console()
-    table = _table(escape(title(recording, options)))
+    table = bare_table(title(recording, options))
     for name in ("joint", "control"):
         table.add_column(name, no_wrap=name != "joint")
     for name in ("error [deg]", "dev.", "torque [N m]", "of limit", "vibration [N m]"):
@@ -138,24 +138,13 @@ def show(
         )
 
 
-def _table(title: str) -> Table:
-    return Table(
-        title=title,
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-        collapse_padding=True,
-    )
-
-
 def _bypassed(joint: str, options: Simulate) -> bool:
     return joint in options.bypass or "all" in options.bypass
 
 
 def _release_table(recording: Recording, controller: Controller, release: float) -> Table:
     """How each released joint slowed down, and how far it moved until then and from then to the end."""
-    table = _table(f"After the release at {release:g} s")
+    table = bare_table(f"After the release at {release:g} s")
     table.add_column("joint")
     percent = f"{100 * SLOWED:g} %"
     for name in ("speed [deg/s]", f"below {percent} after [s]", "moved [deg]", "then, to the end [deg]"):

@@ -80,8 +80,10 @@ class PDScaled(Tracker):
 
 
 @dataclass(frozen=True)
-class PDGravity(Tracker):
+class PDGravity(PD):
     """PD with the weight of arm and assumed payload as torque reference, `dashpot.rivals.gravity`.
+
+    The block is that of `PD`; the torque reference comes with the trajectory.
 
     Attributes:
         payload: Mass assumed on the flange [kg].
@@ -92,16 +94,6 @@ class PDGravity(Tracker):
     label: ClassVar[str] = "PD + model"
     payload: float = number("kg", 0, 1e4, default=0.0)
     offset: float = number("m", -10, 10, default=0.0)
-
-    def coefficients(
-        self, drive: Drive, config: ControllerConfig, *, file: object = None
-    ) -> NDArray[np.void]:
-        """See `dashpot.sampled.pd_block`: the torque reference comes with the trajectory."""
-        return pd_block(self.kp, self.kd)
-
-    def trouble(self, drive: Drive) -> str:
-        """See `Law.trouble`."""
-        return _late_pd(self.kp, self.kd)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ from dashpot.plant import Plant, with_payload, with_timestep
 from dashpot.recording import CHANNELS, Recording
 from dashpot.sampled import BLOCK_DTYPE
 from dashpot.script import native_faults, tick_of
-from dashpot.supervisor import STATES, decisions, native_guard, watch_records
+from dashpot.supervisor import STATES, decisions, native_guard
+from dashpot.thresholds import watch_records
 
 if TYPE_CHECKING:
     from dashpot.simulate import Scenario

@@ -1,26 +1,31 @@
 """The runtime supervisor: plausible signals, ordered fallbacks, and a reason for every decision.
 
-It runs natively (native/dashpot_supervisor.h) in place of the controller's step. Here are its settings, the
-thresholds that follow from the drives, and its decisions in words. docs/supervisor.md explains both.
+It runs natively (native/dashpot_supervisor.h) in place of the controller's step, with the settings and
+thresholds of `dashpot.thresholds`. Here it is wrapped, and its decisions are put into words;
+docs/supervisor.md explains all.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf, erfcinv
 
 import dashpot._native as _native
-from dashpot.controller import Controller, Sampling
+from dashpot.controller import Controller
 from dashpot.drive import Drive
 from dashpot.errors import InputError
-from dashpot.sampled import IN_EFFECT, NX, POSITION_REF, TORQUE, Floats
-from dashpot.tables import check_numbers, number
+from dashpot.thresholds import (
+    RULES_DTYPE,
+    WATCH_DTYPE,
+    SupervisorSettings,
+    load_state,
+    rules_record,
+    watch_records,
+)
 
 State = Literal["track", "torque_brake", "encoder_brake", "safe"]
 STATES: tuple[State, ...] = ("track", "torque_brake", "encoder_brake", "safe")
@@ -73,9 +78,6 @@ REASONS = (
 """In the order of ``DP_WHY_*`` in native/dashpot_supervisor.h."""
 
 
-HOLD_TIME = 0.1  # [s], damping over stiffness of the encoder brake once a joint stands; assumed
-
-
 @dataclass(frozen=True)
 class Decision:
     """One entry of the log.
@@ -109,230 +111,6 @@ class Decision:
         if self.unit:
             said += f" ({self.value:.4g} {self.unit}, limit {self.threshold:.4g})"
         return f"{said}: {self.before} -> {self.after}"
-
-
-@dataclass(frozen=True)
-class SupervisorSettings:
-    """What the supervisor may assume and how long it may wait. SI units, link side.
-
-    Thresholds of the rotor balance follow from the drives (docs/supervisor.md). None: from the drives too.
-
-    Attributes:
-        debounce: Ticks of bad samples in a row until a signal is lost.
-        torque_age: Oldest torque sample that is used [ticks].
-        encoder_age: Oldest encoder sample that is used [ticks].
-        speed_limit: No joint moves faster [rad/s].
-        stand: By which the reference may move while the encoder repeats itself [rad]: more than it takes the
-            position loop to overcome friction.
-        torque_range: Range of the torque sensor, as a multiple of the drive's torque limit [-].
-        friction_margin: Relative half-width of friction, where the drive states none [-].
-        model_margin: The same of rotor inertia and viscous friction [-]; both are lower bounds where it does.
-        bias_limit: Sensor bias that is tolerated, as a part of the drive's torque limit [-].
-        false_alarms: Tolerated probability that noise alone trips a check at one tick [-].
-        residual_time: Time constant of the rotor balance [s]; at least 8 ticks.
-        bias_time: Time constant of the bias estimate [s].
-        oscillation_floor: Smallest amplitude that counts, as a part of the drive's torque limit [-].
-        oscillation_corner: Below it nothing counts as oscillation [Hz].
-        oscillation_cycles: Cycles without decay until it does [-].
-        stop_time: A brake must have stopped the arm after it [s].
-        still_speed: Slower counts as at rest [rad/s].
-        still_time: For so long [s].
-        brake_time: After it a braked joint may move on by `drift` [s].
-        drift: Distance that closes the mechanical brake: from where the arm came to rest, and before it has,
-            from where the joint was `brake_time` after the brake began [rad].
-        release_time: Over which the last fallback takes the torque away, the mechanical brake closing [s].
-        keep_load: Whether the encoder brake goes on holding the motor torque there was before the fault,
-            the mean of a tenth of a second.
-    """
-
-    debounce: int = 3
-    torque_age: int = 2
-    encoder_age: int = 2
-    speed_limit: float = number("rad/s", 0, 1e3, open_low=True, typical=(0.1, 30), default=2 * math.pi)
-    stand: float = number("rad", 0, 10, open_low=True, default=0.03)
-    torque_range: float = number("-", 0, 100, open_low=True, default=2.0)
-    friction_margin: float = number("-", 0, 10, default=0.5)
-    model_margin: float = number("-", 0, 1, default=0.1)
-    bias_limit: float = number("-", 0, 1, default=0.01)
-    false_alarms: float = number("-", 1e-15, 1e-3, default=1e-10)
-    residual_time: float = number("s", 0, 1, open_low=True, default=0.02)
-    bias_time: float = number("s", 0, 1e3, open_low=True, default=2.0)
-    oscillation_floor: float = number("-", 0, 1, open_low=True, default=0.02)
-    oscillation_corner: float = number("Hz", 0, 1e3, open_low=True, default=2.0)
-    oscillation_cycles: int = 4
-    stop_time: float = number("s", 0, 60, open_low=True, default=2.0)
-    still_speed: float = number("rad/s", 0, 10, open_low=True, default=0.02)
-    still_time: float = number("s", 0, 10, open_low=True, default=0.1)
-    brake_time: float = number("s", 0, 60, open_low=True, default=0.3)
-    drift: float = number("rad", 0, 10, open_low=True, default=0.1)
-    release_time: float = number("s", 0, 10, open_low=True, default=0.1)
-    keep_load: bool = True
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
-        for key, low, high in (
-            ("debounce", 1, _native.HISTORY // 2),
-            ("torque_age", 0, 1000),
-            ("encoder_age", 0, 1000),
-            ("oscillation_cycles", 2, 1000),
-        ):
-            value = getattr(self, key)
-            if type(value) is not int or not low <= value <= high:
-                raise InputError(f"must be a whole number, {low} to {high}", quantity=key, value=value)
-        if type(self.keep_load) is not bool:
-            raise InputError("must be true or false", quantity="keep_load", value=self.keep_load)
-
-
-_WATCH: tuple[str, ...] = ("inertia", "viscous", "inertia_error", "viscous_error", "torque_error")
-_WATCH += ("torque_mid", "torque_lag", "allowance", "noise", "torque_range", "torque_rate", "torque_jump")
-_WATCH += (
-    "lower",
-    "upper",
-    "speed_limit",
-    "jump",
-    "stand",
-    "mismatch",
-    "bias_limit",
-    "moving",
-    "floor",
-    "damping",
-    "hold",
-)
-WATCH_DTYPE = np.dtype(
-    [*((name, "f8") for name in _WATCH), ("load", "f8", (NX,)), ("stuck", "i4"), ("reserved", "i4")],
-    align=True,
-)
-"""Layout of ``dp_watch`` in native/dashpot_supervisor.h."""
-_GAINS = ("residual_gain", "speed_gain", "load_gain", "bias_gain", "band_gain")
-_COUNTS = (
-    "torque_age",
-    "encoder_age",
-    "brake_ticks",
-    "debounce",
-    "stop_ticks",
-    "still_ticks",
-    "half_cycles",
-    "window",
-)
-RULES_DTYPE = np.dtype(
-    [
-        *((name, "f8") for name in ("period", *_GAINS, "still_speed", "drift", "release")),
-        *((name, "i4") for name in (*_COUNTS, "keep_load")),
-    ],
-    align=True,
-)
-"""Layout of ``dp_rules`` in native/dashpot_supervisor.h."""
-
-
-def load_state(block: NDArray[np.void]) -> Floats:
-    """States of a block in equilibrium under a sensed torque of 1 N m, position loop off: (4,).
-
-    Solves ``x = A x + B_tau + B_u u``, ``u = C x + D_tau + D_u u``. Zeros where a block has no equilibrium
-    (an integrator): it starts from rest.
-    """
-    n = int(block["nx"])
-    system = np.zeros((n + 1, n + 1))
-    system[:n, :n] = np.eye(n) - block["A"][:n, :n]
-    system[:n, n] = -block["B"][:n, IN_EFFECT]
-    system[n, :n], system[n, n] = -block["C"][:n], 1 - block["D"][IN_EFFECT]
-    forcing = np.append(block["B"][:n, TORQUE], block["D"][TORQUE])
-    state = np.zeros(NX)
-    if n and np.linalg.cond(system) < 1e12:
-        state[:n] = np.linalg.solve(system, forcing)[:n]
-    return state
-
-
-def _gain(period: float, time: float) -> float:
-    return -math.expm1(-period / time)
-
-
-def rules_record(settings: SupervisorSettings, period: float) -> NDArray[np.void]:
-    """The arm's rules as the native code wants them, a record of `RULES_DTYPE`."""
-    window = max(8, round(settings.residual_time / period))
-    record = np.zeros((), RULES_DTYPE)
-    record["period"] = period
-    record["residual_gain"] = _gain(1, window)
-    record["speed_gain"] = _gain(1, 4)
-    record["load_gain"] = _gain(period, 0.1)
-    record["bias_gain"] = _gain(period, settings.bias_time)
-    record["band_gain"] = _gain(period, 1 / (2 * math.pi * settings.oscillation_corner))
-    record["still_speed"], record["drift"] = settings.still_speed, settings.drift
-    record["release"] = min(1.0, period / settings.release_time)
-    for key in ("torque_age", "encoder_age", "debounce", "keep_load"):
-        record[key] = getattr(settings, key)
-    record["stop_ticks"] = max(1, round(settings.stop_time / period))
-    record["brake_ticks"] = max(1, round(settings.brake_time / period))
-    record["still_ticks"] = max(1, round(settings.still_time / period))
-    record["half_cycles"] = 2 * settings.oscillation_cycles
-    record["window"] = window
-    return record
-
-
-def watch_record(
-    drive: Drive,
-    block: NDArray[np.void],
-    settings: SupervisorSettings,
-    period: float,
-    sampling: Sampling,
-    limits: tuple[float, float] = (-math.inf, math.inf),
-) -> NDArray[np.void]:
-    """The thresholds of one joint, derived from its drive: a record of `WATCH_DTYPE`.
-
-    Args:
-        drive: The drive, with its uncertainty.
-        block: The joint's controller block.
-        settings: What may be assumed.
-        period: Of the controller [s].
-        sampling: Of the torque.
-        limits: Range of the joint [rad].
-    """
-    s, unsure = settings, drive.uncertainty
-    m, v = drive.rotor_inertia, drive.viscous_friction
-    gain = float(rules_record(s, period)["residual_gain"])
-    breakaway = max(drive.coulomb_friction, drive.stribeck_friction)
-    friction = breakaway * (1 + max(unsure.get("coulomb_friction", 0.0), s.friction_margin))
-    bias = s.bias_limit * drive.torque_limit
-    sigmas = math.sqrt(2) * float(erfcinv(s.false_alarms))  # two-sided
-    noise = drive.torque_noise + drive.torque_resolution / math.sqrt(12)
-    resolution = drive.position_resolution
-    lag = drive.torque_latency + (0.5 * period if sampling == "point" else 0.0)
-    if drive.sensor_bandwidth is not None:  # delay of the filter at low frequency
-        corner = 2 * math.pi * drive.sensor_bandwidth
-        lag += (2 * drive.sensor_damping if drive.sensor_order == 2 else 1.0) / corner
-    k, c = (
-        getattr(drive, key) * (1 + unsure.get(key, 0.0)) for key in ("stiffness", "damping")
-    )  # at their largest
-    record = np.zeros((), WATCH_DTYPE)
-    record["inertia"], record["viscous"] = m / period, v
-    record["inertia_error"] = max(unsure.get("rotor_inertia", 0.0), s.model_margin) * m / period
-    record["viscous_error"] = max(unsure.get("viscous_friction", 0.0), s.model_margin) * v
-    record["torque_error"] = drive.torque_gain_error
-    record["torque_mid"] = 0.5 if sampling == "point" else 0.0
-    record["torque_lag"] = lag / period
-    record["allowance"] = friction + bias
-    record["noise"] = sigmas * noise * math.sqrt(gain / (2 - gain)) + 2 * gain * m * resolution / period**2
-    record["torque_range"] = s.torque_range * drive.torque_limit
-    record["torque_rate"] = 2 * s.speed_limit * k * period
-    record["torque_jump"] = 4 * s.speed_limit * c + 2 * sigmas * noise + drive.hysteresis
-    record["lower"], record["upper"] = limits
-    record["speed_limit"], record["jump"] = s.speed_limit, 2 * resolution
-    # Without a position loop nothing has to follow.
-    record["stand"] = s.stand if block["D"][POSITION_REF] else 1e12
-    record["mismatch"] = 0.02 * s.speed_limit + 2 * gain * resolution / period
-    record["bias_limit"] = bias
-    record["moving"] = max(0.02, 4 * resolution / period)
-    record["floor"] = max(s.oscillation_floor * drive.torque_limit, 8 * noise)
-    record["damping"] = min(0.25 * m / period / (1 + int(block["latency"])), math.sqrt(drive.stiffness * m))
-    record["hold"] = record["damping"] / HOLD_TIME
-    record["load"] = load_state(block)
-    if noise > 0 and drive.torque_noise > 0:
-        # Chance that a sample falls into the same step of the sensor as the one before, at most.
-        step = drive.torque_resolution / (2 * math.sqrt(2) * drive.torque_noise)
-        same = float(erf(step)) if step > 0 else 0.0
-        if same < 0.9:
-            needed = math.log(s.false_alarms) / math.log(same) if same > 0 else 0
-            record["stuck"] = max(s.debounce, math.ceil(needed))
-    return record
 
 
 class Supervisor:
@@ -416,32 +194,6 @@ class Supervisor:
         """Rotor balance and its limit [N m], speed [rad/s], latched bias [N m], and trust of one joint."""
         keys = ("residual", "limit", "speed", "bias", "encoder_trusted", "torque_trusted", "half_cycles")
         return dict(zip(keys, self.guard.joint_state(self.controller.index(name)), strict=True))
-
-
-def watch_records(
-    controller: Controller,
-    drives: Sequence[Drive],
-    settings: SupervisorSettings,
-    limits: Mapping[str, tuple[float, float]] | None = None,
-) -> NDArray[np.void]:
-    """The thresholds of a controller's joints, (n,) records of `WATCH_DTYPE`; arguments as of `Supervisor`.
-
-    Raises:
-        InputError: A controlled joint has no drive, or a range is empty.
-    """
-    by_name = {drive.name: drive for drive in drives}
-    records = []
-    for name, block in zip(controller.joints, controller.blocks, strict=True):
-        if name not in by_name:
-            raise InputError(f"has no drive; there are {', '.join(by_name)}", joint=name)
-        lower, upper = (limits or {}).get(name, (-math.inf, math.inf))
-        if not lower < upper:
-            raise InputError(
-                "lower must be below upper", joint=name, quantity="limits [rad]", value=(lower, upper)
-            )
-        means = settings, controller.period, controller.sampling, (lower, upper)
-        records.append(watch_record(by_name[name], block, *means))
-    return np.array(records)
 
 
 def native_guard(

@@ -40,8 +40,9 @@ LAST = 0.008  # logarithmic step at which the search ends
 ROUGH, FINE = 0.3, 2  # after this share of the coarse steps, only so many columns are followed
 SURE = 0.7  # of the residual speed, below which a swing must stay to count as stopped
 DOUBT, SAME = 0.03, 1.1  # share of the residual speed a swing may be off by; times to stop that agree
+VAGUE, APART = 0.15, 2.0  # the same, of brakes that ring so long that their time to stop says little
 ASIDE = np.linspace(-0.08, 0.08, 17)  # of log g and log w_c, where a clear stop is looked for
-COST = 0.02  # of the merit that a clear stop may cost
+COST, DEAR = 0.02, 0.1  # of the merit that a clear stop may cost; the second in place of a vague one
 MISSED = 100.0  # merit of a candidate that misses a limit, and more the more it does
 AT_ONCE = 4000  # motions simulated side by side
 LARGEST = 1e6  # value of a quantity beyond which it gets no worse
@@ -377,19 +378,21 @@ class JointSearch:
             (self.prover.refusals, self.brake.refusals),
         )
 
-    def _clear(self, gains: Gains) -> NDArray[np.bool_]:
+    def _clear(self, gains: Gains, doubt: float = DOUBT, same: float = SAME) -> NDArray[np.bool_]:
         """Whether the time to stop hangs on no swing that just reaches the residual speed, (k,)."""
         early, late = (
             quantity.stop_time(replace(self.duty, residual=share * self.duty.residual), gains)
-            for share in (1 + DOUBT, 1 - DOUBT)
+            for share in (1 + doubt, 1 - doubt)
         )
-        return np.asarray(late <= SAME * early)
+        return np.asarray(late <= same * early)
 
     def _clearer(self, found: Found) -> Found:
-        """A design next to one whose time to stop is in doubt, hardly worse and clear; else the same."""
+        """A design next to one whose time to stop is in doubt, little worse and clear; else the same."""
         points = found.point + np.stack(np.meshgrid(ASIDE, ASIDE), -1).reshape(-1, 2) @ np.eye(5)[[G, CORNER]]
         gains = self.gains(points)
-        good = (merit := self.merit(gains)) < found.merit + COST
+        merit = self.merit(gains)
+        vague = not self._clear(found.gains, VAGUE, APART)[0]
+        good = merit < found.merit + (DEAR if vague else COST)
         for name in self.wishes.limits:
             good[good] = self.kept(name, gains[good])
         good[good] = self._clear(gains[good])

@@ -2,8 +2,8 @@
 
 Names of joints are fixed, so every message of a topic has its numbers at the same places: a template with
 gaps. A row of templates, one per topic, is one tick of a log, and NumPy fills the gaps of many ticks at once.
-Little endian; a number of k bytes begins at a multiple of k after the encapsulation header, and an empty array
-has no padding after its length, as in ROS 2's own middlewares.
+Little endian; a number of k bytes begins at a multiple of k after the encapsulation header, and an empty
+array has no padding after its length, as in ROS 2's own middlewares.
 """
 
 from __future__ import annotations

@@ -14,23 +14,31 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dashpot.errors import DashpotError, InputError
+from dashpot.errors import InputError
 from dashpot.logfiles.cdr import MESSAGE, OPCODE, Cdr, Row, joint_message, tick_row
-from dashpot.logfiles.messages import COLUMNS, LEVELS, LOG, LOG_DEFINITION, ROSOUT, SCALARS, TOPICS
+from dashpot.logfiles.mcapreader import MAGIC, package
+from dashpot.logfiles.messages import (
+    COLUMNS,
+    LEVELS,
+    LOG,
+    LOG_DEFINITION,
+    METADATA,
+    ROSOUT,
+    SCALARS,
+    TOPICS,
+    Level,
+)
 
-Level = Literal["info", "warning", "error"]
-MAGIC = b"\x89MCAP0\r\n"
 INTERVAL = 0.4  # [s] after which what has been written goes to the file
 LARGEST = 1 << 22  # [bytes] of a chunk before compression
 BLOCK = 4096  # ticks encoded at a time
 NANO = 1_000_000_000
 LATEST = (1 << 31) * NANO  # [ns] that a builtin_interfaces/Time can hold
-METADATA = "dashpot"  # name of the record that says how the log was made
 HEADER, FOOTER, SCHEMA, CHANNEL, CHUNK, MESSAGE_INDEX = 1, 2, 3, 4, 6, 7
 CHUNK_INDEX, STATISTICS, METADATA_RECORD, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = 8, 11, 12, 13, 14, 15
 ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])  # of a message index
@@ -75,7 +83,7 @@ class McapWriter:
             raise InputError(
                 "must be names, each once", file=self.path, quantity="joints", value=", ".join(joints)
             )
-        self._compressor = _zstd().ZstdCompressor(level=1)
+        self._compressor = package("zstandard").ZstdCompressor(level=1)
         self._lock = threading.Lock()
         self._error: OSError | None = None
         self._closed = False
@@ -369,14 +377,6 @@ class McapWriter:
         while rest:
             rest = rest[self._file.write(rest) :]
         self._position += len(data)
-
-
-def _zstd() -> Any:
-    try:
-        import zstandard
-    except ImportError:
-        raise DashpotError("MCAP logs need zstandard: pip install 'dashpot[logs]'") from None
-    return zstandard
 
 
 def _record(opcode: int, content: bytes) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 _HEADER = f"""{"=" * 80}
 MSG: std_msgs/Header
@@ -81,7 +82,7 @@ float64[] x3
 {_HEADER}{_TIME}"""
 
 JOINT_ENERGY = "dashpot_msgs/msg/JointEnergy"
-JOINT_ENERGY_DEFINITION = f"""# Energy of each joint [J], from what the robot senses; work: since the first sample.
+JOINT_ENERGY_DEFINITION = f"""# Energy of each joint [J], from what is sensed; work since the first sample.
 std_msgs/Header header
 string[] name
 float64[] motor       # work of the motor on the rotor
@@ -106,8 +107,11 @@ string file
 string function
 uint32 line
 {_TIME}"""
-LEVELS = {"info": 20, "warning": 30, "error": 40}
+Level = Literal["info", "warning", "error"]
+LEVELS: dict[Level, int] = {"info": 20, "warning": 30, "error": 40}
 ROSOUT = "/rosout"
+METADATA = "dashpot"  # name of the record that says how the log was made
+START = "start"  # key in it: the time [s] that is stamped 0
 
 
 def _joint_state(name: str, position: str, velocity: str, effort: str) -> Topic:

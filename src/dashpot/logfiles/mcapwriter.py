@@ -11,6 +11,7 @@ import struct
 import threading
 import zlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -96,18 +97,21 @@ class McapWriter:
         self._span: list[int] = []
         self._chunk_indexes: list[bytes] = []
         self._empty()
+        said = {"period": repr(float(period)), **(metadata or {})}
+        meta = _record(METADATA_RECORD, _text(METADATA) + _map(said))
+        begin = MAGIC + _record(HEADER, _text("ros2") + _text(f"dashpot {version('dashpot')}"))
+        self._metadata = (len(begin), len(meta))
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("wb", buffering=0)
+            try:
+                self._put(begin + meta)
+                self._rosout = self._channel(ROSOUT, LOG, LOG_DEFINITION)
+            except OSError:
+                self._file.close()
+                raise
         except OSError as error:
             raise InputError(f"cannot be written: {error.strerror}", file=self.path) from None
-        said = {"period": repr(float(period)), **(metadata or {})}
-        meta = _record(METADATA_RECORD, _text(METADATA) + _map(said))
-        library = _text(f"dashpot {version('dashpot')}")
-        self._put(MAGIC + _record(HEADER, _text("ros2") + library))
-        self._metadata = (self._position, len(meta))
-        self._put(meta)
-        self._rosout = self._channel(ROSOUT, LOG, LOG_DEFINITION)
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._put_away, name="dashpot-log", daemon=True)
         self._thread.start()
@@ -224,12 +228,8 @@ class McapWriter:
 
     def _put_away(self) -> None:
         while not self._closing.wait(INTERVAL):
-            with self._lock:
-                try:
-                    self._end_chunk()
-                except OSError as error:  # the next call says it
-                    self._error = error
-                    return
+            with self._lock, suppress(OSError):  # the next call says it
+                self._end_chunk()
 
     def _begin(self, names: tuple[str, ...]) -> Row:
         """Registers the topics of the columns."""
@@ -374,8 +374,12 @@ class McapWriter:
 
     def _put(self, data: bytes) -> None:
         rest = memoryview(data)
-        while rest:
-            rest = rest[self._file.write(rest) :]
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:  # what follows on half a record could not be read: every later call says so
+            self._error = error
+            raise
         self._position += len(data)
 
 

@@ -1,5 +1,5 @@
 """Speed of dashpot as ratios measured in one run: closed loop, step, allocation, threads,
-certificate, design of an arm, campaign.
+certificate, design of an arm, campaign, log.
 
     python benchmarks/bench.py [--json FILE] [--check] [--only PART ...]
 
@@ -31,6 +31,7 @@ import rivals
 from campaign import campaign
 from certify import certificate
 from design import design
+from log import log
 from measure import SETS, Rows, Timed, bytes_in_use, calls, interleave
 from rich.console import Console
 
@@ -269,7 +270,7 @@ def threads(rows: Rows) -> None:
     rows.add("threads_speedup", "two threads: times faster", best["one"] / best["two"])
 
 
-_PARTS = (closed_loop, controller_step, allocation, threads, certificate, design, campaign)
+_PARTS = (closed_loop, controller_step, allocation, threads, certificate, design, campaign, log)
 PARTS = {part.__name__: part for part in _PARTS}
 
 

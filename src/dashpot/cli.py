@@ -344,6 +344,41 @@ class Excite:
 
 
 @dataclass
+class Plot:
+    """Draw a log: torque, command, tracking error, speed, energy and what happened, for every joint.
+
+    Reads logs of dashpot and of any robot; what a log lacks is left out. Columns and topics: docs/logs.md.
+    """
+
+    log: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG")]
+    """Log: .mcap, also one that a crash has cut off, .csv, .parquet, or recording.npz of dashpot simulate."""
+    joint: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="JOINT [JOINT ...]", help_behavior_hint="(default: all)")
+    ] = ()
+    """Joints to draw."""
+    window: Annotated[
+        tuple[float, float] | None, tyro.conf.arg(metavar="FROM TO", help_behavior_hint="(default: all)")
+    ] = None
+    """Stretch of time to draw [s], as on the time axis."""
+    states: Annotated[str, tyro.conf.arg(metavar="TOPIC")] = "/joint_states"
+    """Topic (MCAP, PlotJuggler) of position, velocity and sensed torque."""
+    commands: Annotated[str, tyro.conf.arg(metavar="TOPIC")] = "/joint_command"
+    """Topic of the torque command and the references."""
+    links: Annotated[str, tyro.conf.arg(metavar="TOPIC")] = "/link_states"
+    """Topic of the link side."""
+    pdf: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Also write PDF files."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/plot")
+    """Folder for overview.png and a picture per joint; replaced as a whole."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from dashpot.commands.plot import plot
+
+        return plot(self)
+
+
+@dataclass
 class Identify:
     """Identify inertia, friction, torque sensor, latency and transmission of the drives from a log.
 
@@ -483,6 +518,7 @@ Command = (
     | Annotated[Map, tyro.conf.subcommand("map")]
     | Annotated[Design, tyro.conf.subcommand("design")]
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
+    | Annotated[Plot, tyro.conf.subcommand("plot")]
     | Annotated[Excite, tyro.conf.subcommand("excite")]
     | Annotated[Identify, tyro.conf.subcommand("identify")]
     | Annotated[Campaign, tyro.conf.subcommand("campaign")]

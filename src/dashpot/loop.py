@@ -167,6 +167,8 @@ class Loop:
     Attributes:
         ticks: Of the whole run.
         tick: The next one.
+        core: The native controller, or None.
+        guard: The native supervisor, or None.
         faults: The native faults, or None.
         diverged: Tick at which the simulation blew up, or None.
     """
@@ -180,20 +182,20 @@ class Loop:
         self._models, self._plant = self._loads()
         plant, controller = self._plant, scenario.controller
         # A fresh native controller: scenarios that share one must not share its state.
-        self._core = _native.Core(controller.blocks.view(np.uint8)) if controller else None
+        self.core = _native.Core(controller.blocks.view(np.uint8)) if controller else None
         self._drives, self._events = _drives(scenario, plant), _events(scenario)
         self.faults: _native.Faults | None = None
-        self._guard: _native.Guard | None = None
+        self.guard: _native.Guard | None = None
         if scenario.supervisor is not None:
-            if controller is None or self._core is None:
+            if controller is None or self.core is None:
                 raise InputError("needs a controller to supervise", quantity="supervisor")
             watch = watch_records(controller, plant.robot.drives, scenario.supervisor, _ranges(plant))
-            self._guard = native_guard(self._core, watch, scenario.supervisor, controller.period)
-        if scenario.faults or self._guard is not None:  # by the script a supervisor closes the brakes
+            self.guard = native_guard(self.core, watch, scenario.supervisor, controller.period)
+        if scenario.faults or self.guard is not None:  # by the script a supervisor closes the brakes
             controlled = controller.joints if controller else ()
             self.faults = native_faults(scenario.faults, plant, controlled, trajectory, scenario.seed)
         self._model, self._data = plant.model, mujoco.MjData(plant.model)
-        _start(scenario, plant, self._core, self._events, self._data)
+        _start(scenario, plant, self.core, self._events, self._data)
         mujoco.mj_forward(self._model, self._data)
         torque = np.zeros((self.ticks, n)) if trajectory.torque is None else trajectory.torque
         self._reference = np.stack(
@@ -244,7 +246,7 @@ class Loop:
     def _advance(self, until: int) -> None:
         plant, data = self._plant, self._data
         outcome, tick = _native.run(
-            self._core,
+            self.core,
             self._drives.view(np.uint8),
             self._events.view(np.uint8),
             _mj_step(),
@@ -263,7 +265,7 @@ class Loop:
             self.faults,
             self.tick,
             until,
-            self._guard,
+            self.guard,
         )
         self.tick = until
         if outcome:
@@ -284,12 +286,12 @@ class Loop:
             settings["faults"] = [fault.table() for fault in scenario.faults]
         if scenario.payload_changes:
             settings["payload_changes"] = [change.table() for change in scenario.payload_changes]
-        if self._guard is not None and scenario.controller is not None:
-            log = decisions(self._guard, scenario.controller.joints, trajectory.period)
+        if self.guard is not None and scenario.controller is not None:
+            log = decisions(self.guard, scenario.controller.joints, trajectory.period)
             settings["supervisor"] = {
-                "state": STATES[self._guard.state],
-                "apply_brake": self._guard.apply_brake,
-                "stopped": self._guard.stopped,
+                "state": STATES[self.guard.state],
+                "apply_brake": self.guard.apply_brake,
+                "stopped": self.guard.stopped,
                 "decisions": [{**asdict(d), "time": d.time + trajectory.start} for d in log],
             }
         return Recording(

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 BLACK, GREEN = "#000000", "#009E73"
 BLUE, VERMILLION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "#7A7A7A"
+ORANGE, SKY = "#E69F00", "#56B4E9"
 
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
@@ -66,7 +67,9 @@ __all__ = [
     "BLUE",
     "GREEN",
     "GREY",
+    "ORANGE",
     "PURPLE",
+    "SKY",
     "VERMILLION",
     "Figure",
     "new_figure",

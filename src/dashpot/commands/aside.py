@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from typing import TypeVar
 
 from dashpot.commands import NATIVE_LOOP
-from dashpot.recording import Recording
-from dashpot.simulate import Scenario, run
+
+Result = TypeVar("Result")
 
 
-def run_aside(scenario: Scenario) -> Recording:
-    """`run` on a thread of its own: Ctrl-C need not wait for the native loop."""
-    done: list[Recording] = []
+def run_aside(run: Callable[[], Result]) -> Result:
+    """Calls ``run`` on a thread of its own: Ctrl-C need not wait for the native loop."""
+    done: list[Result] = []
     failed: list[BaseException] = []
 
     def work() -> None:
         try:
-            done.append(run(scenario))
+            done.append(run())
         except BaseException as error:
             failed.append(error)
 

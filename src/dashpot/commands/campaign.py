@@ -24,6 +24,7 @@ from dashpot.commands.simulate_view import draw, show
 from dashpot.errors import DashpotError, InputError
 from dashpot.output import whole_folder
 from dashpot.plots import save
+from dashpot.simulate import run
 from dashpot.workers import remembered_interrupts
 
 if TYPE_CHECKING:
@@ -126,7 +127,7 @@ def replay(options: Replay) -> int:
         for key, value in setting.values.items()
     }
     with whole_folder(options.out) as folder:
-        recording = run_aside(scenario)
+        recording = run_aside(lambda: run(scenario))
         recording.settings |= {
             "controller": name,
             "payload_kg": setting.payload.mass,

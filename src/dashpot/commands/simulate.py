@@ -13,6 +13,7 @@ from dashpot.controller import Controller, load_controller
 from dashpot.errors import InputError, InputWarning
 from dashpot.log import from_recording
 from dashpot.logfiles import check_log_path, write_log
+from dashpot.logfiles.runlog import write_run
 from dashpot.motionfile import read_motion
 from dashpot.output import whole_folder
 from dashpot.payload import Payload
@@ -21,9 +22,10 @@ from dashpot.plots import save
 from dashpot.release import release_events, tracking_events
 from dashpot.rivals.gravity import with_feedforward
 from dashpot.robot import MAX_ANGLE, Robot
-from dashpot.simulate import Event, Scenario
+from dashpot.simulate import Event, Scenario, run
 from dashpot.supervisor import SupervisorSettings
 from dashpot.testbench import tap
+from dashpot.trace import run_traced
 from dashpot.trajectory import Trajectory, hold, multisine
 
 if TYPE_CHECKING:
@@ -72,25 +74,27 @@ def simulate(options: Simulate) -> int:
         events += release_events(config, options.release, bypassed)
     with whole_folder(options.out) as folder:
         external = tap(path, len(robot.drives), options.tap) if options.tap else None
-        recording = run_aside(
-            Scenario(
-                plant,
-                controller,
-                path,
-                events,
-                external,
-                options.seed,
-                faults=faults,
-                payload_changes=changes,
-                supervisor=SupervisorSettings() if options.supervise else None,
-            )
+        scenario = Scenario(
+            plant,
+            controller,
+            path,
+            events,
+            external,
+            options.seed,
+            faults=faults,
+            payload_changes=changes,
+            supervisor=SupervisorSettings() if options.supervise else None,
         )
+        traced = options.log is not None and options.log.suffix.lower() == ".mcap"
+        recording, trace = run_aside(lambda: run_traced(scenario) if traced else (run(scenario), None))
         recording.settings |= {
             "controller": str(options.controller),
             "payload_kg": options.payload,
             "offset_m": payload.position.tolist(),
             "tap_nm": options.tap,
         }
+        if options.release is not None:
+            recording.settings["release"] = options.release
         recording.save(folder / "recording.npz")
         marked = marks(robot, faults, changes, recording)
         save(draw(recording, controller, options, marked), folder / "simulate")
@@ -102,7 +106,11 @@ def simulate(options: Simulate) -> int:
             trajectory=path,
             controlled=controller.joints,
         )
-        write_log(log, options.log)  # last: it may be in the folder that has just been replaced
+        # Last: it may be in the folder that has just been replaced.
+        if trace is None:
+            write_log(log, options.log)
+        else:
+            write_run(options.log, log, recording, trace, robot, config, path)
     show(recording, robot, controller, plant, options, marked)
     return 1 if recording.diverged_at is not None else 0
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import secrets
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +11,7 @@ from typing import TYPE_CHECKING, cast, get_args
 from dashpot.controller import Sampling
 from dashpot.errors import InputError, InputWarning
 from dashpot.log import Log
+from dashpot.logfiles.atomic import replaced
 from dashpot.logfiles.channels import Topics
 from dashpot.logfiles.grid import make_log
 
@@ -39,7 +38,7 @@ def read_log(path: str | Path, *, sampling: Sampling | None = None, topics: Topi
         InputWarning: Gaps, jitter, repeated rows, incomplete joints, and units that look wrong.
     """
     path = Path(path)
-    raw = _reader(path)(path, topics or Topics())
+    raw = read_raw(path, topics or Topics())
     stated = sampling or raw.sampling
     if stated is None:
         warnings.warn(
@@ -52,6 +51,15 @@ def read_log(path: str | Path, *, sampling: Sampling | None = None, topics: Topi
     if stated not in get_args(Sampling):
         raise InputError('must be "average" or "point"', file=path, quantity="sampling", value=stated)
     return make_log(raw, cast("Sampling", stated), path, _digest(path))
+
+
+def read_raw(path: Path, topics: Topics) -> Raw:
+    """Reads a log's samples as they are.
+
+    Raises:
+        InputError: Naming file, line or message and rule.
+    """
+    return _reader(path)(path, topics)
 
 
 def check_log_path(path: Path, quantity: str) -> None:
@@ -82,9 +90,7 @@ def write_log(log: Log, path: str | Path) -> Path:
     """
     path = Path(path)
     check_log_path(path, "log file")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
+    with replaced(path) as temporary:
         match path.suffix.lower():
             case ".csv":
                 from dashpot.logfiles.csvfile import write_csv
@@ -98,9 +104,6 @@ def write_log(log: Log, path: str | Path) -> Path:
                 from dashpot.logfiles.ros import write_mcap
 
                 write_mcap(log, temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
     return path
 
 
@@ -135,4 +138,4 @@ def _digest(path: Path) -> str:
     return digest.hexdigest()
 
 
-__all__ = ["SUFFIXES", "Topics", "check_log_path", "read_log", "write_log"]
+__all__ = ["SUFFIXES", "Topics", "check_log_path", "read_log", "read_raw", "write_log"]

@@ -1,0 +1,102 @@
+"""``dashpot plot``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+
+from dashpot.commands.plot_draw import draw_joint, draw_overview, lettered
+from dashpot.commands.shared import bare_table, check_place, file_names, new_table
+from dashpot.logfiles import Topics
+from dashpot.logfiles.samples import Samples, read_samples
+from dashpot.output import whole_folder
+from dashpot.plots import save
+from dashpot.sampled import Floats
+
+if TYPE_CHECKING:
+    from dashpot.cli import Plot
+
+
+def plot(options: Plot) -> int:
+    """``dashpot plot``; returns the exit status."""
+    check_place(options.out, [options.log])
+    samples = read_samples(options.log, Topics(options.states, options.commands, options.links))
+    if options.joint:
+        samples = samples.only(options.joint)
+    if options.window is not None:
+        samples = samples.between(*options.window)
+    names = file_names(("overview", *samples.joints))
+    with whole_folder(options.out) as folder:
+        save(draw_overview(samples), folder / "overview", pdf=options.pdf)
+        for joint in samples.joints:
+            save(draw_joint(samples, joint), folder / names[joint], pdf=options.pdf)
+    _show(samples, options)
+    return 0
+
+
+def _show(samples: Samples, options: Plot) -> None:
+    console = Console()
+    start, end = samples.span
+    time = next(iter(samples.series.values())).time
+    rate = (
+        f", {(len(time) - 1) / (time[-1] - time[0]):.4g} Hz" if len(time) > 1 and time[-1] > time[0] else ""
+    )
+    table = new_table(f"{samples.file.name}: {start:.4g} to {end:.4g} s{rate}")
+    for name in ("torque [N m]", "command [N m]", "error [deg]", "speed [deg/s]"):
+        table.add_column(escape(name), justify="right", no_wrap=True)
+    torque, command, speed = (_column(samples, name) for name in ("torque", "command", "velocity"))
+    error = tracking_error(samples)
+    for j, joint in enumerate(samples.joints):
+        table.add_row(
+            escape(joint),
+            _largest(torque, j, "{:.2f}"),
+            _largest(command, j, "{:.2f}"),
+            _rms(error, j, "{:.3f}"),
+            _largest(speed, j, "{:.1f}", 180 / np.pi),
+        )
+    console.print(table)
+    console.print(
+        "largest sensed torque, command and speed; RMS tracking error", style="dim", highlight=False
+    )
+    events = lettered(samples)
+    if events:
+        console.print()
+        said = bare_table("What happened")
+        said.add_column("")
+        said.add_column(escape("time [s]"), justify="right", no_wrap=True)
+        said.add_column("message")
+        for event in events:
+            style = {"info": "", "warning": "yellow", "error": "red"}[event.level]
+            said.add_row(event.letter, f"{event.time:.3f}", escape(event.text), style=style)
+        console.print(said)
+        if len(samples.happenings) > len(events):
+            console.print(f"and {len(samples.happenings) - len(events)} more", style="dim", highlight=False)
+    console.print()
+    console.print(f"open {escape(str(options.out / 'overview.png'))}", highlight=False, soft_wrap=True)
+
+
+def _column(samples: Samples, name: str) -> Floats | None:
+    return samples.series[name].values if name in samples.series else None
+
+
+def tracking_error(samples: Samples) -> Floats | None:
+    """Reference minus measured angle, (t, n) [deg], or None where the log has no reference."""
+    from dashpot.commands.plot_draw import error_of
+
+    found = error_of(samples)
+    return None if found is None else found.values
+
+
+def _largest(values: Floats | None, j: int, form: str, scale: float = 1.0) -> str:
+    if values is None or np.isnan(values[:, j]).all():
+        return "-"
+    return form.format(scale * float(np.nanmax(np.abs(values[:, j]))))
+
+
+def _rms(values: Floats | None, j: int, form: str) -> str:
+    if values is None or np.isnan(values[:, j]).all():
+        return "-"
+    return form.format(float(np.sqrt(np.nanmean(values[:, j] ** 2))))

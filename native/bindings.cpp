@@ -210,6 +210,11 @@ void bind_supervisor(nb::module_ &m) {
         });
 }
 
+// Text of the controller and the supervisor, as compiled here; `dashpot export` writes it out.
+const char *const SOURCES[][2] = {
+#include "exported_sources.inc"
+};
+
 }  // namespace
 
 NB_MODULE(_native, m) {
@@ -305,6 +310,11 @@ NB_MODULE(_native, m) {
           nb::arg("speeds").noconvert(), nb::arg("commands").noconvert());
 
     bind_supervisor(m);
+
+    nb::dict sources;
+    for (const auto &source : SOURCES)
+        sources[source[0]] = source[1];
+    m.attr("SOURCES") = sources;
 
     // For benchmarks: seconds are measured by the caller; no Python between the steps.
     m.def("step_many", [](Core &s, int count) {

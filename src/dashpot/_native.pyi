@@ -14,6 +14,7 @@ MAX_DELAY: int
 FAULT_SIZE: int
 MAX_FAULTS: int
 MAX_LATE: int
+SOURCES: dict[str, str]
 
 class Core:
     n: int

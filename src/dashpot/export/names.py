@@ -9,9 +9,11 @@ from dashpot.errors import InputError
 
 LONGEST = 40
 TAKEN = frozenset(
-    "auto break case char const continue default do double else enum extern float for goto if inline int long "
-    "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while "
-    "dp fmi2 fmi3 main".split()
+    (  # noqa: SIM905
+        "auto break case char const continue default do double else enum extern float for goto if inline int "
+        "long register restrict return short signed sizeof static struct switch typedef union unsigned void "
+        "volatile while dp fmi2 fmi3 main"
+    ).split()
 )
 
 

@@ -1,13 +1,15 @@
 """The controller core's own text, made special: one arm, its coefficients as constants, names of its own.
 
-What is exported is the text that was compiled into `dashpot._native`, so that simulated, certified and exported
-controllers are one program. A few passages, each found exactly once, are replaced: coefficients and settings
+What is exported is the text that was compiled into `dashpot._native`, so that simulated, certified and
+exported controllers are one program. A few passages, each found exactly once, are replaced: coefficients and settings
 become constants of the file, which leaves state alone in the structs. No arithmetic is touched.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import dashpot._native as _native
@@ -92,7 +94,6 @@ def renamed(text: str, prefix: str) -> str:
     for line in text.split("\n"):
         new = re.sub(r"\bdp_", f"{prefix}_", line)
         new = re.sub(r"\bDP_", f"{prefix.upper()}_", new)
-        new = _same_column(line, new)
         indent = len(line) - len(line.lstrip(" "))
         if hangs is not None and indent == hangs[0] + 1:
             new = " " * (hangs[1] + 1) + new.lstrip(" ")
@@ -102,15 +103,23 @@ def renamed(text: str, prefix: str) -> str:
         if old_open is not None and new_open is not None:
             hangs = old_open, new_open
         lines.append(new)
-    return "\n".join(lines)
+    return "\n".join(_aligned(text.split("\n"), lines))
 
 
-def _same_column(line: str, new: str) -> str:
-    """The new line with its trailing comment back in the column it had, where there is room."""
-    before, after = (re.search(r"(?<=\S) +(?=/\*)", text) for text in (line, new))
-    if before is None or after is None:
-        return new
-    return new[: after.start()].ljust(max(before.end(), after.start() + 1)) + new[after.end() :]
+def _aligned(old: list[str], new: list[str]) -> Iterator[str]:
+    """The new lines, trailing comments of neighbours that were in one column in one column again."""
+
+    def column(line: str) -> tuple[int, int] | None:
+        found = re.search(r"(?<=\S) +(?=/\*)", line)
+        return found.span() if found else None
+
+    for _, group in itertools.groupby(range(len(old)), key=lambda i: (column(old[i]) or (0, 0))[1]):
+        members = list(group)
+        places = [column(new[i]) for i in members]
+        width = max((place[0] + 1 for place in places if place), default=0)
+        for i, place in zip(members, places, strict=True):
+            line = new[i]
+            yield line if place is None else f"{line[: place[0]]:{width}}{line[place[1] :]}"
 
 
 def _open_bracket(line: str) -> int | None:

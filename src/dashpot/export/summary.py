@@ -1,4 +1,4 @@
-"""What an exported file says about itself in its first comment: where it comes from, and what is proven of it."""
+"""What an exported file says about itself: where it comes from, and what is proven of it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def lines(
     longest = config.latency if config.latency_max is None else config.latency_max
     yield f"period       {config.period!r} s"
     yield f"sampling     {config.sampling} of the sensed torque"
-    yield f"latency      {config.latency} ticks from computing a torque to its taking effect, at most {longest}"
+    yield f"latency      {config.latency} ticks from computing a torque to its taking effect, most {longest}"
     yield f"form         {config.form}"
     yield f"blend        {config.blend!r} s"
     for what, file in (("controller", config.file), ("robot", robot.file)):
@@ -82,7 +82,7 @@ def _boxes(robot: Robot, config: ControllerConfig, controller: Controller) -> It
     """The box of drive values a verdict holds for."""
     drives = {drive.name: drive for drive, _ in paired(robot, config)}
     wide = max(5, *(len(plain(name)) for name in controller.joints))
-    rows = [("box", *HEADS), ("", *UNITS)]
+    rows: list[tuple[str, ...]] = [("box", *HEADS), ("", *UNITS)]
     for name, block in zip(controller.joints, controller.blocks, strict=True):
         ranges = Box.of(drives[name], block, config.latency_max).ranges
         rows.append((plain(name), *(_span(*ranges[key]) for key in (*SIZES, "latency"))))

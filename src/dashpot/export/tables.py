@@ -33,14 +33,14 @@ def c_double(value: float) -> str:
 
 
 def c_record(record: NDArray[np.void], notes: dict[str, str] | None = None, indent: str = "    ") -> str:
-    """A record as the lines of a designated initialiser, fields that are all zero left out (C sets them to 0).
+    """A record as the lines of a designated initialiser; fields that are all zero are left out.
 
     Args:
         record: 0-d record array.
         notes: Field -> comment behind it.
         indent: Of the lines.
     """
-    lines = []
+    lines: list[str] = []
     for name in record.dtype.names or ():
         value = np.asarray(record[name])
         if _blank(value):

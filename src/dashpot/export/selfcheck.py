@@ -1,9 +1,9 @@
 """A check an exported controller carries along: does this build compute what dashpot computed, bit for bit?
 
 Contraction into fused multiply-adds, wider registers or "fast" mathematics change results, and no compiler
-tells. The exported file therefore can run a fixed sequence and compare a hash of all torques with the one computed
-here by the native controller: `CONTROLLER` and `SUPERVISOR` are that sequence in C, `controller_hash` and
-`supervisor_hash` the same in Python.
+tells. The exported file therefore can run a fixed sequence and compare a hash of all torques with the one
+computed here by the native controller: `CONTROLLER` and `SUPERVISOR` are that sequence in C,
+`controller_hash` and `supervisor_hash` the same in Python.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The controller core's own text, made special: one arm, its coefficients as constants, names of its own.
 
 What is exported is the text that was compiled into `dashpot._native`, so that simulated, certified and
-exported controllers are one program. A few passages, each found exactly once, are replaced: coefficients and settings
-become constants of the file, which leaves state alone in the structs. No arithmetic is touched.
+exported controllers are one program. A few passages, each found exactly once, are replaced: coefficients and
+settings become constants of the file, which leaves state alone in the structs. No arithmetic is touched.
 """
 
 from __future__ import annotations

@@ -26,8 +26,12 @@ def verdict(certificate: Certificate | None) -> str:
         return "NOT CERTIFIED: no certificate was asked for"
     if certificate.certified:
         return "CERTIFIED"
-    failed = [joint for joint in certificate.joints if not joint.certified]
-    return "NOT CERTIFIED: " + "; ".join(f"{joint.name}: {joint.reason}" for joint in failed)
+    reasons: dict[str, list[str]] = {}
+    for joint in certificate.joints:
+        if not joint.certified:
+            reasons.setdefault(joint.reason, []).append(joint.name)
+    said = (f"{', '.join(names)}: {reason}" for reason, names in reasons.items())
+    return f"NOT CERTIFIED: {'; '.join(said)}"
 
 
 def digest(file: Path | None) -> str:

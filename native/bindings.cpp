@@ -210,6 +210,11 @@ void bind_supervisor(nb::module_ &m) {
         });
 }
 
+// Text of the controller and the supervisor, as compiled here; `dashpot export` writes it out.
+const char *const SOURCES[][2] = {
+#include "exported_sources.inc"
+};
+
 }  // namespace
 
 NB_MODULE(_native, m) {
@@ -253,6 +258,13 @@ NB_MODULE(_native, m) {
                  return dp_step(&s.c, in.data(), out.data());
              },
              nb::arg("inputs"), nb::arg("out").noconvert())
+        .def("issue",
+             [](Core &s, Vector torque, Vector out) {
+                 if (torque.size() != static_cast<size_t>(s.c.n) || out.size() != static_cast<size_t>(s.c.n))
+                     throw std::invalid_argument("torque and out must have one element per joint");
+                 return dp_issue(&s.c, torque.data(), out.data());
+             },
+             nb::arg("torque"), nb::arg("out").noconvert())
         .def("reset", [](Core &s) { dp_reset(&s.c); })
         .def("set_mode", [](Core &s, int j, int mode) { dp_set_mode(&s.c, check_joint(s, j), mode); })
         .def("set_position_loop", [](Core &s, int j, bool on) { dp_set_position_loop(&s.c, check_joint(s, j), on); })
@@ -305,6 +317,11 @@ NB_MODULE(_native, m) {
           nb::arg("speeds").noconvert(), nb::arg("commands").noconvert());
 
     bind_supervisor(m);
+
+    nb::dict sources;
+    for (const auto &source : SOURCES)
+        sources[source[0]] = source[1];
+    m.attr("SOURCES") = sources;
 
     // For benchmarks: seconds are measured by the caller; no Python between the steps.
     m.def("step_many", [](Core &s, int count) {

@@ -301,6 +301,44 @@ class Design:
 
 
 @dataclass
+class Export:
+    """Export a controller as C99 or as an FMU: the same arithmetic as here, to the bit, with its certificate.
+
+    Example: dashpot export fr3 fr3 --to c --supervised
+
+    The certificate of exactly these coefficients is computed and goes into the file. Exit status: 0 written and
+    certified, 1 written but NOT CERTIFIED, 2 bad input. docs/export.md has complete programs.
+    """
+
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
+    """Robot TOML, or k807, fr3, iiwa14."""
+    controller: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CONTROLLER")]
+    """Controller TOML, or k807-wrist, k807-resonant, fr3, iiwa14."""
+    to: Annotated[Literal["c", "fmu"], tyro.conf.arg(metavar="c|fmu")]
+    """c: a pair NAME.c, NAME.h for any C99 compiler, freestanding. fmu: NAME.fmu for co-simulation."""
+    fmi: Annotated[Literal["2", "3"], tyro.conf.arg(metavar="2|3")] = "3"
+    """Version of FMI: 3 (arrays) or 2 (scalars)."""
+    supervised: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Export the runtime supervisor too, with thresholds from the drives and the model's joint ranges."""
+    name: Annotated[
+        str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the controller's file name)")
+    ] = None
+    """Prefix of everything defined, so that several exports link into one program."""
+    sources_only: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Leave the binary out of an FMU; the importing tool compiles it."""
+    without_certificate: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Do not certify; the file says NOT CERTIFIED, and the exit status is 1."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/export")
+    """Folder for the files; replaced as a whole."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from dashpot.commands.export import export
+
+        return export(self)
+
+
+@dataclass
 class Excite:
     """Make a safe motion that tells the drives' inertia and friction apart; log it, then dashpot identify.
 
@@ -519,6 +557,7 @@ Command = (
     | Annotated[Design, tyro.conf.subcommand("design")]
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
     | Annotated[Plot, tyro.conf.subcommand("plot")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Excite, tyro.conf.subcommand("excite")]
     | Annotated[Identify, tyro.conf.subcommand("identify")]
     | Annotated[Campaign, tyro.conf.subcommand("campaign")]

@@ -136,7 +136,7 @@ def _drives(scenario: Scenario, plant: Plant) -> NDArray[np.void]:
     return drives
 
 
-def _ranges(plant: Plant) -> dict[str, tuple[float, float]]:
+def encoder_ranges(plant: Plant) -> dict[str, tuple[float, float]]:
     """Joint -> angles [rad] beyond which an encoder cannot be right."""
     drives = plant.drives
     return {
@@ -189,7 +189,7 @@ class Loop:
         if scenario.supervisor is not None:
             if controller is None or self.core is None:
                 raise InputError("needs a controller to supervise", quantity="supervisor")
-            watch = watch_records(controller, plant.robot.drives, scenario.supervisor, _ranges(plant))
+            watch = watch_records(controller, plant.robot.drives, scenario.supervisor, encoder_ranges(plant))
             self.guard = native_guard(self.core, watch, scenario.supervisor, controller.period)
         if scenario.faults or self.guard is not None:  # by the script a supervisor closes the brakes
             controlled = controller.joints if controller else ()

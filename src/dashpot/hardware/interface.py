@@ -20,7 +20,7 @@ Ages = NDArray[np.int32]
 
 @dataclass
 class Sample:
-    """What the robot says at one tick: made once, filled in place by `Hardware.read`; arrays are never replaced.
+    """What the robot says at one tick: made once, filled in place by `Hardware.read`; an array assigned to it is copied.
 
     Attributes:
         time: When the sample was taken, on the robot's clock [s]. Ticks that are missing in it are cycles that
@@ -42,6 +42,14 @@ class Sample:
     in_effect: Floats
     torque_age: Ages
     encoder_age: Ages
+
+    def __setattr__(self, name: str, value: object) -> None:
+        # The native loop reads the arrays where they are: one that is assigned is copied into them.
+        array = self.__dict__.get(name)
+        if isinstance(array, np.ndarray):
+            array[:] = value
+        else:
+            super().__setattr__(name, value)
 
     @classmethod
     def of(cls, joints: Sequence[str]) -> Sample:

@@ -153,7 +153,7 @@ def _drives(scenario: Scenario, plant: Plant) -> NDArray[np.void]:
     return drives
 
 
-def ranges(plant: Plant) -> dict[str, tuple[float, float]]:
+def encoder_ranges(plant: Plant) -> dict[str, tuple[float, float]]:
     """Joint -> angles [rad] beyond which an encoder cannot be right."""
     drives = plant.drives
     return {
@@ -217,7 +217,7 @@ class Loop:
         if scenario.supervisor is not None and link is None:
             if controller is None or self._core is None:
                 raise InputError("needs a controller to supervise", quantity="supervisor")
-            watch = watch_records(controller, plant.robot.drives, scenario.supervisor, ranges(plant))
+            watch = watch_records(controller, plant.robot.drives, scenario.supervisor, encoder_ranges(plant))
             self._guard = native_guard(self._core, watch, scenario.supervisor, controller.period)
         # By the script a supervisor closes the brakes.
         if scenario.faults or self._guard is not None or link is not None:

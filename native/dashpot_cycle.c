@@ -23,7 +23,7 @@ int dp_cycle_init(dp_cycle *c)
     c->row = 0;
     c->begun = c->same = c->late = c->phase = c->safe_ticks = 0;
     for (int j = 0; j < n; j++)
-        c->velocity[j] = c->energy[j] = 0.0;
+        c->velocity[j] = c->torque[j] = c->motor[j] = c->port[j] = 0.0;
     return 0;
 }
 
@@ -95,7 +95,10 @@ static void publish(dp_cycle *c, const dp_cycle_sample *s, long long clock, doub
         row->column[DP_ROW_IN_EFFECT][j] = finite(s->in_effect[i]) ? s->in_effect[i] : u[j];
         row->column[DP_ROW_COMMAND][j] = x->command;
         row->column[DP_ROW_REFERENCE][j] = reference[j];
-        row->column[DP_ROW_ENERGY][j] = c->energy[j];
+        row->column[DP_ROW_MOTOR][j] = c->motor[j];
+        row->column[DP_ROW_PORT][j] = c->port[j];
+        row->mode[j] = x->mode;
+        row->joint_status[j] = x->status;
         for (int k = 0; k < DP_NX; k++)
             row->column[DP_ROW_STATE + k][j] = x->x[k];
     }
@@ -105,6 +108,18 @@ static void publish(dp_cycle *c, const dp_cycle_sample *s, long long clock, doub
         __atomic_store_n(&r->decisions, v->decisions, __ATOMIC_RELEASE);
     }
     __atomic_store_n(&r->head, r->head + 1, __ATOMIC_RELEASE);
+}
+
+/* Work over the last period, by the trapezoid rule; samples that are not numbers are left out. */
+static void work(dp_cycle *c, int j, double torque, double velocity, double motor, int lost)
+{
+    const double time = c->period * (1 + lost);
+    if (!finite(velocity) || !finite(torque))
+        return;
+    c->motor[j] += motor * 0.5 * (velocity + c->velocity[j]) * time;
+    c->port[j] += 0.5 * (torque * velocity + c->torque[j] * c->velocity[j]) * time;
+    c->velocity[j] = velocity;
+    c->torque[j] = torque;
 }
 
 /* The run is over once SAFE has let go of every torque, on its way to the motors too, and the brakes had their time. */
@@ -147,11 +162,7 @@ int dp_cycle_step(dp_cycle *c, const dp_cycle_sample *s, long long clock, double
         torque_age[j] = ta < 0 || ta > MOST_AGE ? MOST_AGE : ta + more;
         encoder_age[j] = ea < 0 || ea > MOST_AGE ? MOST_AGE : ea + more;
         held[j] = c->controller->state[j].in_effect;
-        const double v = s->velocity[i];
-        if (finite(v)) {
-            c->energy[j] += held[j] * 0.5 * (v + c->velocity[j]) * (c->period * (1 + lost));
-            c->velocity[j] = v;
-        }
+        work(c, j, s->torque[i], s->velocity[i], held[j], lost);
     }
     const int status = dp_supervise(c->supervisor, c->controller, in, torque_age, encoder_age, u);
     for (int j = 0; j < n; j++)

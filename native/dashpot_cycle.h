@@ -31,7 +31,8 @@ enum {
 /* Columns of a row. */
 enum {
     DP_ROW_TORQUE, DP_ROW_POSITION, DP_ROW_VELOCITY, DP_ROW_IN_EFFECT, DP_ROW_COMMAND, DP_ROW_REFERENCE,
-    DP_ROW_ENERGY, /* work of the motor since the first tick [J] */
+    DP_ROW_MOTOR,  /* work of the motor since the first tick [J] */
+    DP_ROW_PORT,   /* work done on the link, through the torque sensor [J] */
     DP_ROW_STATE,  /* of the block, DP_NX of them */
     DP_ROW_COLUMNS = DP_ROW_STATE + DP_NX
 };
@@ -44,6 +45,7 @@ typedef struct {
     int state, phase, status;
     int lost;        /* ticks of the robot's clock that had no cycle, since the last one */
     double column[DP_ROW_COLUMNS][DP_MAX_JOINTS];
+    int mode[DP_MAX_JOINTS], joint_status[DP_MAX_JOINTS];
 } dp_row;
 
 typedef struct {
@@ -89,7 +91,7 @@ typedef struct {
     /* state */
     long long row;           /* of the reference */
     double start, last;      /* robot's clock at the first sample, at the last new one [s] */
-    double velocity[DP_MAX_JOINTS], energy[DP_MAX_JOINTS];
+    double velocity[DP_MAX_JOINTS], torque[DP_MAX_JOINTS], motor[DP_MAX_JOINTS], port[DP_MAX_JOINTS];
     int begun, same, late, phase, safe_ticks, reserved;
 } dp_cycle;
 

@@ -214,21 +214,26 @@ def native_guard(
 
 def decisions(guard: _native.Guard, joints: Sequence[str], period: float) -> list[Decision]:
     """What a native supervisor has decided, oldest first; the latest 64, which is all since a reset."""
-    return [
-        Decision(
-            tick * period,
-            tick,
-            joints[joint] if joint >= 0 else None,
-            STATES[before],
-            STATES[after],
-            REASONS[why].name,
-            value,
-            threshold,
-            REASONS[why].unit,
-            REASONS[why].words,
-        )
-        for tick, joint, before, after, why, value, threshold in guard.log()
-    ]
+    return [decision(raw, joints, period) for raw in guard.log()]
+
+
+def decision(
+    raw: tuple[int, int, int, int, int, float, float], joints: Sequence[str], period: float
+) -> Decision:
+    """A native decision in words."""
+    tick, joint, before, after, why, value, threshold = raw
+    return Decision(
+        tick * period,
+        tick,
+        joints[joint] if joint >= 0 else None,
+        STATES[before],
+        STATES[after],
+        REASONS[why].name,
+        value,
+        threshold,
+        REASONS[why].unit,
+        REASONS[why].words,
+    )
 
 
 def next_state(state: State, *events: str) -> State:
@@ -243,6 +248,7 @@ __all__ = [
     "Decision",
     "Supervisor",
     "SupervisorSettings",
+    "decision",
     "load_state",
     "next_state",
 ]

@@ -14,8 +14,8 @@ import dashpot._native as _native
 from dashpot.sampled import NX
 
 ROWS = 8192  # 8 s at 1 kHz: how long the reader may be away
-COLUMNS = ("torque", "position", "velocity", "in_effect", "command", "reference", "energy")
-"""Columns of a row, one number per joint; the block states follow. Units as in `Sample`; energy [J] is the motors' work."""
+COLUMNS = ("torque", "position", "velocity", "in_effect", "command", "reference", "energy_motor", "energy_port")
+"""Columns of a row, one number per joint; block states x0 to x3 follow. Units as in `Sample`, energies [J]."""
 ROW_DTYPE = np.dtype(
     [
         ("tick", "i8"),
@@ -28,6 +28,7 @@ ROW_DTYPE = np.dtype(
         ("lost", "i4"),
         *((name, "f8", (_native.MAX_JOINTS,)) for name in COLUMNS),
         *((f"x{i}", "f8", (_native.MAX_JOINTS,)) for i in range(NX)),
+        *((name, "i4", (_native.MAX_JOINTS,)) for name in ("mode", "joint_status")),
     ]
 )
 """Layout of ``dp_row``."""

@@ -181,7 +181,7 @@ void bind_cycle(nb::module_ &m) {
     nb::class_<Link>(m, "Link")
         .def("__init__",
              [](Link *self, int socket, bool realtime, bool listening, double period, double answer, int watchdog,
-                int after) {
+                int after, int quiet) {
                  if (!(period > 0) || !(answer > 0 && answer <= 1) || watchdog < 1 || after < 0)
                      throw std::invalid_argument("a setting of the link is out of range");
                  new (self) Link();
@@ -192,10 +192,11 @@ void bind_cycle(nb::module_ &m) {
                  self->l.answer = answer;
                  self->l.watchdog = watchdog;
                  self->l.after = after;
+                 self->l.quiet = quiet;
                  dp_link_begin(&self->l);
              },
              nb::arg("socket"), nb::arg("realtime"), nb::arg("listening"), nb::arg("period"), nb::arg("answer"),
-             nb::arg("watchdog"), nb::arg("after"))
+             nb::arg("watchdog"), nb::arg("after"), nb::arg("quiet"))
         .def_prop_ro("started", [](const Link &s) { return s.l.started != 0; })
         .def_prop_ro("stopped", [](const Link &s) { return s.l.stopped != 0; })
         .def_prop_ro("gone", [](const Link &s) { return s.l.gone != 0; })

@@ -159,4 +159,5 @@ class Link:
         answer: float,
         watchdog: int,
         after: int,
+        quiet: int,
     ) -> None: ...

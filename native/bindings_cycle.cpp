@@ -16,6 +16,12 @@ long long nanoseconds(clockid_t clock) {
     return t.tv_sec * 1000000000LL + t.tv_nsec;
 }
 
+void sleep_until(long long when) {
+    const timespec t = {when / 1000000000LL, when % 1000000000LL};
+    while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, nullptr) == EINTR) {
+    }
+}
+
 // One run of the loop: what dp_cycle_step needs, the arrays of the sample it reads, and the clocks.
 struct Cycle {
     dp_cycle c{};
@@ -44,9 +50,7 @@ struct Cycle {
         deadline = deadline ? deadline + period : now;
         if (now > deadline + period)
             deadline += (now - deadline) / period * period;
-        const timespec t = {deadline / 1000000000LL, deadline % 1000000000LL};
-        while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, nullptr) == EINTR) {
-        }
+        sleep_until(deadline);
     }
 };
 
@@ -159,6 +163,7 @@ void bind_cycle(nb::module_ &m) {
                 dp_cycle_step(&s.c, &s.sample, i, 0.0, s.out);
             }
         });
+    m.def("sleep_until", &sleep_until, nb::arg("nanoseconds"), nb::call_guard<nb::gil_scoped_release>());
     m.def("ring_drain",
           [](Bytes memory, Bytes out, unsigned long long next) {
               unsigned long long missed = 0;

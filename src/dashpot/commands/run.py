@@ -18,7 +18,6 @@ from dashpot.certify.certificate import Certificate, certify_joint, paired
 from dashpot.commands import quiet_engine
 from dashpot.commands.run_view import show_checks, show_measures, show_outcome
 from dashpot.commands.shared import progress
-from dashpot.commands.simulate_faults import read_changes, read_faults
 from dashpot.controller import Controller, ControllerConfig, load_controller
 from dashpot.drive import Drive
 from dashpot.errors import DashpotError, InputError
@@ -254,6 +253,7 @@ def _connected(options: Run, job: Job) -> Iterator[tuple[Hardware, Start | None]
 
 
 def _simulated(options: Run, job: Job) -> tuple[Hardware, Start | None]:
+    from dashpot.commands.simulate_faults import read_changes, read_faults
     from dashpot.hardware.sim import LinkSettings, SimHardware
 
     path, plant = job.path, job.plant

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import signal
@@ -17,15 +16,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_plant import one_joint
 from test_supervisor import H, guarded
 
 from dashpot import _native
 from dashpot.commands.run import standing
 from dashpot.controller import Controller, load_controller
-from dashpot.errors import DashpotError, InputError
 from dashpot.faults import Fault
-from dashpot.hardware.interface import Hardware, Sample
+from dashpot.hardware.interface import Sample
 from dashpot.hardware.ring import COLUMNS, ROW_DTYPE, Ring
 from dashpot.hardware.runtime import LoopSettings, control
 from dashpot.hardware.sim import LinkSettings, SimHardware
@@ -48,7 +45,7 @@ def columns(path: Trajectory, chosen: list[int]) -> Trajectory:
 
 
 class Bench:
-    """A scenario of simulate, and the same as a simulated robot with a supervisor on this side of the link."""
+    """A scenario of simulate, and the same as a robot behind a link with a supervisor on this side."""
 
     def __init__(self, name: str, controller: str, *, seconds=0.6, after=0.3, **about):
         robot, config = Robot.load(name), load_controller(controller)
@@ -81,7 +78,9 @@ class Bench:
 
 def same(a: Recording, b: Recording, ticks: int) -> None:
     for channel in CHANNELS:
-        np.testing.assert_array_equal(getattr(a, channel)[:ticks], getattr(b, channel)[:ticks], err_msg=channel)
+        np.testing.assert_array_equal(
+            getattr(a, channel)[:ticks], getattr(b, channel)[:ticks], err_msg=channel
+        )
 
 
 # --- lock-step is simulate ---------------------------------------------------------------------------------
@@ -93,7 +92,15 @@ def same(a: Recording, b: Recording, ticks: int) -> None:
         ("fr3", "fr3", (), (PayloadChange(0.2, Payload(2.0)),)),
         ("k807", "k807-wrist", (), ()),
         ("k807", "k807-wrist", (Fault("encoder_frozen", 0.3, joint="joint6"),), ()),
-        ("fr3", "fr3", (Fault("torque_nan", 0.2, joint="joint2"), Fault("samples_dropped", 0.1, joint="joint5", value=0.2)), ()),
+        (
+            "fr3",
+            "fr3",
+            (
+                Fault("torque_nan", 0.2, joint="joint2"),
+                Fault("samples_dropped", 0.1, joint="joint5", value=0.2),
+            ),
+            (),
+        ),
         ("k807", "k807-wrist", (Fault("samples_late", 0.1, end=0.4, value=2.0),), ()),
     ],
     ids=["payload", "partly controlled", "frozen encoder", "no torque", "late samples"],
@@ -157,7 +164,9 @@ def cycle_of(supervisor, *, ticks=1, until=-1, ring=None, late_cycles=10, longes
 @settings(max_examples=150, deadline=None)
 @given(
     st.lists(
-        st.tuples(TORQUES, TORQUES, TORQUES, TORQUES, AGES, AGES, TORQUES, st.booleans()), min_size=1, max_size=60
+        st.tuples(TORQUES, TORQUES, TORQUES, TORQUES, AGES, AGES, TORQUES, st.booleans()),
+        min_size=1,
+        max_size=60,
     ),
     st.integers(0, 3),
     TORQUES,
@@ -170,7 +179,12 @@ def test_no_sample_makes_a_torque_that_is_not_finite_or_beyond_its_limits(garbag
     last, phases = np.zeros(2), [0]
     for tick, (torque, position, velocity, effect, age, other, clock, well) in enumerate(garbage):
         if not well:
-            sample.torque, sample.position, sample.velocity, sample.in_effect = torque, position, velocity, effect
+            sample.torque, sample.position, sample.velocity, sample.in_effect = (
+                torque,
+                position,
+                velocity,
+                effect,
+            )
             sample.torque_age[:], sample.encoder_age[:] = age, other
         phases.append(cycle.step(tick * H if well else clock))
         assert np.isfinite(cycle.out).all()
@@ -263,7 +277,7 @@ def test_a_ring_read_while_it_is_written_never_gives_half_a_row():
 
 def test_layouts_are_the_native_ones():
     assert ROW_DTYPE.itemsize == _native.ROW_SIZE
-    assert _native.ROW_COLUMNS == len(COLUMNS) + 4
+    assert len(COLUMNS) + 4 == _native.ROW_COLUMNS
 
 
 def test_an_array_assigned_to_a_sample_is_copied():
@@ -346,7 +360,11 @@ def test_brakes_that_raise_do_not_keep_the_motors_on(tmp_path):
     bench = Bench("k807", "k807-wrist", after=0.6)
     arm = bench.arm(tmp_path)
     outcome = control(
-        Wrapped(arm, 60, "apply_brake", broken), bench.supervisor, bench.motion, start=arm.equilibrium(), settings=FLOW
+        Wrapped(arm, 60, "apply_brake", broken),
+        bench.supervisor,
+        bench.motion,
+        start=arm.equilibrium(),
+        settings=FLOW,
     )
     assert outcome.end == "failed"  # at the end of the motion, in the loop
     resting(Recording.load(bench.record))
@@ -441,7 +459,9 @@ def test_ctrl_c_brakes_to_rest(tmp_path):
     assert np.nanmax(np.abs(recorded.velocity[:, 5])) > 0.05  # it did move
 
 
-@pytest.mark.parametrize("numbers", [(signal.SIGTERM,), (signal.SIGINT, signal.SIGTERM)], ids=["once", "twice"])
+@pytest.mark.parametrize(
+    "numbers", [(signal.SIGTERM,), (signal.SIGINT, signal.SIGTERM)], ids=["once", "twice"]
+)
 def test_a_signal_asks_for_a_stop_and_a_second_one_does_not_wait(tmp_path, numbers):
     bench = Bench("k807", "k807-wrist", after=0.6)
     arm = bench.arm(tmp_path)
@@ -463,7 +483,9 @@ def test_a_signal_asks_for_a_stop_and_a_second_one_does_not_wait(tmp_path, numbe
     handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     outcome = control(wrapped, bench.supervisor, bench.motion, start=arm.equilibrium(), settings=FLOW)
     assert (outcome.end, outcome.signal) == ("stopped", numbers[0])
-    assert (outcome.state, outcome.braked) == (("safe", True) if len(numbers) == 1 else ("torque_brake", False))
+    assert (outcome.state, outcome.braked) == (
+        ("safe", True) if len(numbers) == 1 else ("torque_brake", False)
+    )
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == handlers
     resting(Recording.load(bench.record))
 
@@ -476,5 +498,7 @@ def test_a_killed_host_leaves_an_arm_at_rest(tmp_path):
     assert not recorded.settings["stopped"]  # nobody said stop
     tripped = recorded.settings["watchdog_at"]
     assert np.abs(recorded.in_effect[tripped - 1]).max() > 0.1
-    assert (recorded.in_effect[tripped + 1 :][np.isfinite(recorded.in_effect[tripped + 1 :]).all(1)][:, 4:] == 0).all()
+    assert (
+        recorded.in_effect[tripped + 1 :][np.isfinite(recorded.in_effect[tripped + 1 :]).all(1)][:, 4:] == 0
+    ).all()
     resting(recorded)

@@ -1,42 +1,17 @@
 // Python bindings of the controller core and the closed-loop runner.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-
 #include <stdexcept>
 #include <string>
 
+#include "bindings.h"
 #include "dashpot_faults.h"
 #include "dashpot_runner.h"
 #include "dashpot_stops.h"
-#include "dashpot_supervisor.h"
-
-namespace nb = nanobind;
 
 namespace {
-
-using Bytes = nb::ndarray<uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Array = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
-using Vector = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Square = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Ints = nb::ndarray<int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-
-// The C controller with the input array it reads from; both stay where they are.
-struct Core {
-    dp_controller c{};
-    double in[DP_NIN * DP_MAX_JOINTS] = {};
-    double out[DP_MAX_JOINTS] = {};
-};
 
 // The faults of one run, with what they remember; used by one run at a time.
 struct Faults {
     dp_faults f{};
-};
-
-// The C supervisor with the ages it reads; the core it steers is kept alive by its Python object.
-struct Guard {
-    dp_supervisor s{};
-    Core *core = nullptr;
-    int32_t torque_age[DP_MAX_JOINTS] = {}, encoder_age[DP_MAX_JOINTS] = {};
 };
 
 const dp_block *blocks_of(const Bytes &raw, int &n) {
@@ -65,7 +40,7 @@ double *optional(nb::object o, size_t size, const char *name) {
 nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t model, uintptr_t data, Vector qpos,
               Vector qvel, Vector qfrc_applied, double dt, int steps_per_tick, int ticks, nb::object reference,
               nb::object external, nb::object record, nb::object status, Faults *faults, int first, int last,
-              Guard *guard) {
+              Guard *guard, Link *link) {
     if (drives.size() == 0 || drives.size() % sizeof(dp_drive) || events.size() % sizeof(dp_event))
         throw std::invalid_argument("drive or event records have the wrong size");
     dp_run_args a{};
@@ -96,6 +71,16 @@ nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t 
         a.supervisor = &guard->s;
         a.apply_brake = &guard->s.apply_brake;
         a.state = &guard->s.state;
+    }
+    if (link) {
+        if (!faults || guard || !core)
+            throw std::invalid_argument("a link needs a controller, a script of faults, and no supervisor");
+        a.supervise = dp_link_exchange;
+        a.supervisor = reinterpret_cast<dp_supervisor *>(&link->l);
+        a.apply_brake = &link->l.apply_brake;
+        a.state = &link->l.state;
+        a.end = &link->l.end;
+        link->l.tick = &a.tick;
     }
     for (int j = 0; j < a.drives; j++) {
         const dp_drive &d = a.drive[j];
@@ -186,6 +171,7 @@ void bind_supervisor(nb::module_ &m) {
              },
              nb::arg("out").noconvert())
         .def("stop", [](Guard &g, int why) { dp_supervisor_stop(&g.s, why); }, nb::arg("why"))
+        .def("park", [](Guard &g) { dp_supervisor_park(&g.s); })
         .def("reset", [](Guard &g) { dp_supervisor_reset(&g.s, &g.core->c); })
         .def("log",
              [](const Guard &g) {
@@ -308,7 +294,8 @@ NB_MODULE(_native, m) {
           nb::arg("data"), nb::arg("qpos").noconvert(), nb::arg("qvel").noconvert(), nb::arg("qfrc_applied").noconvert(), nb::arg("dt"),
           nb::arg("steps_per_tick"), nb::arg("ticks"), nb::arg("reference").none(), nb::arg("external").none(),
           nb::arg("record").none(), nb::arg("status").none(), nb::arg("faults").none() = nb::none(), nb::arg("first") = 0,
-          nb::arg("last") = -1, nb::arg("guard").none() = nb::none());
+          nb::arg("last") = -1, nb::arg("guard").none() = nb::none(),
+          nb::arg("link").none() = nb::none());
 
     m.def("stops", &stops, nb::arg("blocks"), nb::arg("slip").noconvert(), nb::arg("stick").noconvert(), nb::arg("start"),
           nb::arg("sample"), nb::arg("rotor"), nb::arg("held"), nb::arg("link"), nb::arg("spring"), nb::arg("slips"),
@@ -317,6 +304,7 @@ NB_MODULE(_native, m) {
           nb::arg("speeds").noconvert(), nb::arg("commands").noconvert());
 
     bind_supervisor(m);
+    bind_cycle(m);
 
     nb::dict sources;
     for (const auto &source : SOURCES)

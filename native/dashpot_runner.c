@@ -243,9 +243,12 @@ int dp_run(dp_controller *c, dp_run_args *a)
         next++;
     a->diverged_tick = -1;
     for (int tick = a->first; tick < a->last; tick++) {
+        a->tick = tick;
         if (c)
             next = apply_events(c, a, tick, next);
         control_tick(c, a, tick, in, out);
+        if (a->end && *a->end)
+            return DP_RUN_OK;
         for (int k = 0; k < a->steps_per_tick; k++, step++) {
             for (int j = 0; j < a->drives; j++) {
                 double reference[2] = {0.0, 0.0};

@@ -37,6 +37,30 @@ class Faults:
         self, script: NDArray[np.uint8], drives: NDArray[np.float64], brake_delay: float
     ) -> None: ...
 
+class Arm:
+    tick: int
+    record: NDArray[np.float64]
+    torque_age: NDArray[np.int32]
+    encoder_age: NDArray[np.int32]
+    def __init__(
+        self, drives: NDArray[np.uint8], step: int, dt: float, steps_per_tick: int, faults: Faults | None
+    ) -> None: ...
+    def engine(
+        self,
+        model: int,
+        data: int,
+        qpos: NDArray[np.float64],
+        qvel: NDArray[np.float64],
+        qfrc_applied: NDArray[np.float64],
+    ) -> None: ...
+    def sense(
+        self,
+        torque: NDArray[np.float64],
+        position: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+    ) -> None: ...
+    def push(self, torque: NDArray[np.float64]) -> bool: ...
+
 WATCH_SIZE: int
 RULES_SIZE: int
 REASONS: int

@@ -1,0 +1,1 @@
+"""Robots: what a controller runs on, real or simulated."""

@@ -1,53 +1,13 @@
 // Python bindings of the controller core and the closed-loop runner.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-
-#include <algorithm>
 #include <stdexcept>
 #include <string>
 
+#include "bindings.h"
 #include "dashpot_faults.h"
 #include "dashpot_runner.h"
 #include "dashpot_stops.h"
-#include "dashpot_supervisor.h"
-
-namespace nb = nanobind;
 
 namespace {
-
-using Bytes = nb::ndarray<uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Array = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
-using Vector = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Square = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Ints = nb::ndarray<int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-
-// The C controller with the input array it reads from; both stay where they are.
-struct Core {
-    dp_controller c{};
-    double in[DP_NIN * DP_MAX_JOINTS] = {};
-    double out[DP_MAX_JOINTS] = {};
-};
-
-// The faults of one run, with what they remember; used by one run at a time.
-struct Faults {
-    dp_faults f{};
-};
-
-// The C supervisor with the ages it reads; the core it steers is kept alive by its Python object.
-struct Guard {
-    dp_supervisor s{};
-    Core *core = nullptr;
-    int32_t torque_age[DP_MAX_JOINTS] = {}, encoder_age[DP_MAX_JOINTS] = {};
-};
-
-// The arm alone, driven tick by tick; the engine's arrays and the faults are kept alive by its Python object.
-struct Arm {
-    dp_run_args a{};
-    dp_drive drive[DP_MAX_JOINTS] = {};
-    double record[DP_NREC * DP_MAX_JOINTS] = {};
-    int32_t no_age[DP_MAX_JOINTS] = {};
-    int tick = 0, sensed = 0;
-};
 
 const dp_block *blocks_of(const Bytes &raw, int &n) {
     if (raw.size() == 0 || raw.size() % sizeof(dp_block) != 0)
@@ -72,23 +32,10 @@ double *optional(nb::object o, size_t size, const char *name) {
     return a.data();
 }
 
-// Checks that the drives' indices are within the engine's state.
-void check_drives(const dp_run_args &a, const Vector &qpos, const Vector &qvel, const Vector &qfrc_applied, int controls) {
-    for (int j = 0; j < a.drives; j++) {
-        const dp_drive &d = a.drive[j];
-        auto bad = [](int i, size_t n) { return i < 0 || static_cast<size_t>(i) >= n; };
-        if (bad(d.rotor_qpos, qpos.size()) || bad(d.spring_qpos, qpos.size()) || bad(d.rotor_dof, qvel.size()) ||
-            bad(d.spring_dof, qvel.size()) || qfrc_applied.size() != qvel.size())
-            throw std::invalid_argument("a drive's index is outside the engine's state");
-        if (d.control >= controls || d.sensor_delay < 0 || d.sensor_delay > DP_MAX_DELAY || d.inner_steps < 1)
-            throw std::invalid_argument("a drive's control index, delay or inner period is out of range");
-    }
-}
-
 nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t model, uintptr_t data, Vector qpos,
               Vector qvel, Vector qfrc_applied, double dt, int steps_per_tick, int ticks, nb::object reference,
               nb::object external, nb::object record, nb::object status, Faults *faults, int first, int last,
-              Guard *guard) {
+              Guard *guard, Link *link) {
     if (drives.size() == 0 || drives.size() % sizeof(dp_drive) || events.size() % sizeof(dp_event))
         throw std::invalid_argument("drive or event records have the wrong size");
     dp_run_args a{};
@@ -119,6 +66,16 @@ nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t 
         a.supervisor = &guard->s;
         a.apply_brake = &guard->s.apply_brake;
         a.state = &guard->s.state;
+    }
+    if (link) {
+        if (!faults || guard || !core)
+            throw std::invalid_argument("a link needs a controller, a script of faults, and no supervisor");
+        a.supervise = dp_link_exchange;
+        a.supervisor = reinterpret_cast<dp_supervisor *>(&link->l);
+        a.apply_brake = &link->l.apply_brake;
+        a.state = &link->l.state;
+        a.end = &link->l.end;
+        link->l.tick = &a.tick;
     }
     check_drives(a, qpos, qvel, qfrc_applied, core ? core->c.n : 0);
     for (int i = 0; i < a.events; i++)
@@ -163,82 +120,6 @@ void stops(Bytes blocks, Square slip, Square stick, Vector start, Vector sample,
         throw std::invalid_argument("a number or a block is out of range");
 }
 
-// --- the arm tick by tick -----------------------------------------------------------------------------------
-
-void bind_arm(nb::module_ &m) {
-    using Ages = nb::ndarray<nb::numpy, int32_t>;
-    auto sized = [](const Arm &l, const Vector &v) {
-        if (v.size() != static_cast<size_t>(l.a.drives))
-            throw std::invalid_argument("arrays must have one element per joint");
-    };
-    nb::class_<Arm>(m, "Arm")
-        .def("__init__",
-             [](Arm *self, Bytes drives, uintptr_t step, double dt, int steps_per_tick, Faults *faults) {
-                 const size_t n = drives.size() / sizeof(dp_drive);
-                 if (n == 0 || drives.size() % sizeof(dp_drive) || n > DP_MAX_JOINTS || steps_per_tick < 1)
-                     throw std::invalid_argument("drive records have the wrong size, or a bad number of steps");
-                 if (faults && faults->f.drives != static_cast<int>(n))
-                     throw std::invalid_argument("the faults are those of another number of drives");
-                 new (self) Arm();
-                 std::copy_n(reinterpret_cast<const dp_drive *>(drives.data()), n, self->drive);
-                 self->a.step = reinterpret_cast<void (*)(const void *, void *)>(step);
-                 self->a.dt = dt;
-                 self->a.steps_per_tick = steps_per_tick;
-                 self->a.ticks = 1;
-                 self->a.drives = static_cast<int>(n);
-                 self->a.drive = self->drive;
-                 self->a.record = self->record;
-                 self->a.faults = faults ? &faults->f : nullptr;
-             },
-             nb::arg("drives"), nb::arg("step"), nb::arg("dt"), nb::arg("steps_per_tick"), nb::arg("faults").none(),
-             nb::keep_alive<1, 6>())
-        .def("engine",
-             [](Arm &l, uintptr_t model, uintptr_t data, Vector qpos, Vector qvel, Vector qfrc_applied) {
-                 check_drives(l.a, qpos, qvel, qfrc_applied, l.a.drives);
-                 l.a.model = reinterpret_cast<const void *>(model);
-                 l.a.data = reinterpret_cast<void *>(data);
-                 l.a.qpos = qpos.data();
-                 l.a.qvel = qvel.data();
-                 l.a.qfrc_applied = qfrc_applied.data();
-             },
-             nb::arg("model"), nb::arg("data"), nb::arg("qpos").noconvert(), nb::arg("qvel").noconvert(),
-             nb::arg("qfrc_applied").noconvert())
-        .def("sense",
-             [sized](Arm &l, Vector torque, Vector position, Vector velocity) {
-                 sized(l, torque), sized(l, position), sized(l, velocity);
-                 if (!l.a.data || l.sensed)
-                     throw std::invalid_argument("sense and push take turns, after engine");
-                 dp_sense(&l.a, l.tick, torque.data(), position.data(), velocity.data());
-                 l.sensed = 1;
-             },
-             nb::arg("torque").noconvert(), nb::arg("position").noconvert(), nb::arg("velocity").noconvert())
-        .def("push",
-             [sized](Arm &l, Vector torque) {
-                 sized(l, torque);
-                 if (!l.sensed)
-                     throw std::invalid_argument("sense and push take turns");
-                 l.sensed = 0;
-                 int result;
-                 {
-                     nb::gil_scoped_release release;
-                     result = dp_push(&l.a, l.tick++, torque.data());
-                 }
-                 return result == DP_RUN_OK;
-             },
-             nb::arg("torque").noconvert())
-        .def_prop_ro("tick", [](const Arm &l) { return l.tick; })
-        .def_prop_ro("record",
-                     [](Arm &l) {
-                         return nb::ndarray<nb::numpy, double>(l.record, {size_t(DP_NREC), size_t(l.a.drives)}, nb::find(l));
-                     })
-        .def_prop_ro("torque_age", [](Arm &l) {
-            return Ages(l.a.faults ? l.a.faults->torque_age : l.no_age, {size_t(l.a.drives)}, nb::find(l));
-        })
-        .def_prop_ro("encoder_age", [](Arm &l) {
-            return Ages(l.a.faults ? l.a.faults->encoder_age : l.no_age, {size_t(l.a.drives)}, nb::find(l));
-        });
-}
-
 // --- supervisor -------------------------------------------------------------------------------------------
 
 void bind_supervisor(nb::module_ &m) {
@@ -276,6 +157,7 @@ void bind_supervisor(nb::module_ &m) {
              },
              nb::arg("out").noconvert())
         .def("stop", [](Guard &g, int why) { dp_supervisor_stop(&g.s, why); }, nb::arg("why"))
+        .def("park", [](Guard &g) { dp_supervisor_park(&g.s); })
         .def("reset", [](Guard &g) { dp_supervisor_reset(&g.s, &g.core->c); })
         .def("log",
              [](const Guard &g) {
@@ -386,7 +268,8 @@ NB_MODULE(_native, m) {
           nb::arg("data"), nb::arg("qpos").noconvert(), nb::arg("qvel").noconvert(), nb::arg("qfrc_applied").noconvert(), nb::arg("dt"),
           nb::arg("steps_per_tick"), nb::arg("ticks"), nb::arg("reference").none(), nb::arg("external").none(),
           nb::arg("record").none(), nb::arg("status").none(), nb::arg("faults").none() = nb::none(), nb::arg("first") = 0,
-          nb::arg("last") = -1, nb::arg("guard").none() = nb::none());
+          nb::arg("last") = -1, nb::arg("guard").none() = nb::none(),
+          nb::arg("link").none() = nb::none());
 
     m.def("stops", &stops, nb::arg("blocks"), nb::arg("slip").noconvert(), nb::arg("stick").noconvert(), nb::arg("start"),
           nb::arg("sample"), nb::arg("rotor"), nb::arg("held"), nb::arg("link"), nb::arg("spring"), nb::arg("slips"),
@@ -396,6 +279,7 @@ NB_MODULE(_native, m) {
 
     bind_arm(m);
     bind_supervisor(m);
+    bind_cycle(m);
 
     // For benchmarks: seconds are measured by the caller; no Python between the steps.
     m.def("step_many", [](Core &s, int count) {

@@ -284,9 +284,12 @@ int dp_run(dp_controller *c, dp_run_args *a)
         next++;
     a->diverged_tick = -1;
     for (int tick = a->first; tick < a->last; tick++) {
+        a->tick = tick;
         if (c)
             next = apply_events(c, a, tick, next);
         control_tick(c, a, tick, in, out);
+        if (a->end && *a->end)
+            return DP_RUN_OK;
         if (advance(a, tick) != DP_RUN_OK) {
             a->diverged_tick = tick;
             return DP_RUN_DIVERGED;

@@ -105,6 +105,8 @@ typedef struct {
     struct dp_supervisor *supervisor;
     const int *apply_brake;            /* the supervisor's flag, copied to faults after each call; or null */
     const int *state;                  /* its state, 0 while it tracks; or null */
+    int tick;                          /* the one being run */
+    const int *end;                    /* the run ends after the samples of a tick at which it is not 0; or null */
 } dp_run_args;
 
 /* Runs ticks a->first to a->last; returns DP_RUN_OK or DP_RUN_DIVERGED (a rotor or link faster than

@@ -96,14 +96,16 @@ void dp_supervisor_reset(dp_supervisor *s, dp_controller *c)
     }
     if (s->state != DP_TRACK)
         dp_reset(c);
-    s->state = s->apply_brake = s->events = s->request = s->since = s->still = s->stopped = 0;
+    s->state = s->apply_brake = s->events = s->request = s->since = s->still = s->stopped = s->park = 0;
 }
 
 void dp_supervisor_stop(dp_supervisor *s, int why)
 {
-    if (!s->request && (why == DP_WHY_OPERATOR || why == DP_WHY_HOST))
+    if (!s->request && (why == DP_WHY_OPERATOR || why == DP_WHY_HOST || why == DP_WHY_DONE))
         s->request = why;
 }
+
+void dp_supervisor_park(dp_supervisor *s) { s->park = 1; }
 
 static void note(dp_supervisor *s, int joint, int why, double value, double threshold)
 {
@@ -423,6 +425,8 @@ static void check_stop(dp_supervisor *s)
     }
     if (!s->stopped && s->since >= r->stop_ticks)
         raise_event(s, DP_EV_NOT_STOPPED, joint, DP_WHY_STOP_LATE, fastest, r->still_speed);
+    if (s->stopped && s->park)
+        raise_event(s, DP_EV_NOT_STOPPED, -1, DP_WHY_PARKED, fastest, r->still_speed);
 }
 
 static void enter(dp_supervisor *s, dp_controller *c, int state)

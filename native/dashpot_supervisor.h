@@ -30,7 +30,7 @@ enum {
     DP_EV_TORQUE_LOST = 2,  /* a torque sensor is not trusted */
     DP_EV_STOP = 4,         /* a stop is asked for, or there is no usable reference */
     DP_EV_LAW = 8,          /* the controller itself oscillates or fails */
-    DP_EV_NOT_STOPPED = 16, /* the brake is late, drifts, or nobody can see that it stopped */
+    DP_EV_NOT_STOPPED = 16, /* the brake is late, drifts, nobody can see that it stopped, or it has done its work */
     DP_NEVENTS = 32
 };
 
@@ -41,7 +41,7 @@ enum {
     DP_WHY_TORQUE_NOT_FINITE, DP_WHY_TORQUE_STALE, DP_WHY_TORQUE_RANGE, DP_WHY_TORQUE_RATE,
     DP_WHY_TORQUE_STUCK, DP_WHY_TORQUE_RESIDUAL, DP_WHY_RESIDUAL_AT_REST,
     DP_WHY_LAW_NOT_FINITE, DP_WHY_OSCILLATION, DP_WHY_STOP_LATE, DP_WHY_BLIND, DP_WHY_DRIFT, DP_WHY_SAG,
-    DP_WHY_ENCODER_STANDS,
+    DP_WHY_ENCODER_STANDS, DP_WHY_DONE, DP_WHY_PARKED,
     DP_NWHY
 };
 
@@ -130,7 +130,7 @@ typedef struct dp_supervisor {
     int events;                          /* DP_EV_*, latched */
     int request;                         /* reason of a stop asked for, or 0 */
     int since, still, stopped;           /* ticks since TRACK was left; at rest; came to rest */
-    int head, reserved;
+    int head, park;                      /* park: SAFE follows once the arm has come to rest */
     long long tick;
     long long decisions;                 /* made since dp_supervisor_init; log[i % DP_LOG] */
     dp_rules rules;
@@ -146,8 +146,11 @@ int dp_supervisor_init(dp_supervisor *s, const dp_rules *rules, const dp_watch *
  * To be called at rest, by whoever has found the cause. The log stays. */
 void dp_supervisor_reset(dp_supervisor *s, dp_controller *c);
 
-/* Asks for a stop from the next tick on; why is DP_WHY_OPERATOR or DP_WHY_HOST. */
+/* Asks for a stop from the next tick on; why is DP_WHY_OPERATOR, DP_WHY_HOST or DP_WHY_DONE. */
 void dp_supervisor_stop(dp_supervisor *s, int why);
+
+/* From now on a brake that has brought the arm to rest hands it to the mechanical brakes: SAFE, and so an end. */
+void dp_supervisor_park(dp_supervisor *s);
 
 /* One tick. in and out as for dp_step; ages in ticks since the last fresh sample, 0: fresh.
  * Returns the statuses of all joints, or-ed. s and c must be for the same number of joints. */

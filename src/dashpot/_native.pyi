@@ -1,6 +1,6 @@
 """Types of the native module (native/bindings.cpp)."""
 
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +80,7 @@ class Guard:
     def __init__(self, core: Core, rules: NDArray[np.uint8], watch: NDArray[np.uint8]) -> None: ...
     def step(self, out: NDArray[np.float64]) -> int: ...
     def stop(self, why: int) -> None: ...
+    def park(self) -> None: ...
     def reset(self) -> None: ...
     def log(self) -> list[tuple[int, int, int, int, int, float, float]]: ...
     def joint_state(self, joint: int) -> tuple[float, float, float, float, bool, bool, int]: ...
@@ -106,6 +107,7 @@ def run(
     first: int = 0,
     last: int = -1,
     guard: Guard | None = None,
+    link: Link | None = None,
 ) -> tuple[int, int]: ...
 def stops(
     blocks: NDArray[np.uint8],
@@ -131,3 +133,54 @@ def stops(
     commands: NDArray[np.float64],
 ) -> None: ...
 def step_many(core: Core, count: int) -> None: ...
+
+ROW_SIZE: int
+ROW_COLUMNS: int
+RING_SIZE: int
+LINK_SAMPLE_SIZE: int
+LINK_COMMAND_SIZE: int
+
+class Cycle:
+    out: NDArray[np.float64]
+    statistics: dict[str, Any]
+    behind: int
+    def __init__(
+        self,
+        guard: Guard,
+        sample: tuple[NDArray[Any], ...],
+        order: NDArray[np.int32],
+        reference: NDArray[np.float64],
+        until: int,
+        period: float,
+        late_cycles: int,
+        longest_gap: int,
+        ring: NDArray[np.uint8] | None,
+    ) -> None: ...
+    def step(self, time: float) -> int: ...
+    def wait(self) -> None: ...
+    def close(self) -> None: ...
+    def step_many(self, count: int) -> None: ...
+
+def ring_drain(
+    ring: NDArray[np.uint8], out: NDArray[np.uint8], next: int
+) -> tuple[int, int, int]: ...
+def ring_state(
+    ring: NDArray[np.uint8],
+) -> tuple[bool, int, list[tuple[int, int, int, int, int, float, float]], dict[str, Any]]: ...
+
+class Link:
+    started: bool
+    stopped: bool
+    gone: bool
+    tripped_at: int
+    end: bool
+    def __init__(
+        self,
+        socket: int,
+        realtime: bool,
+        listening: bool,
+        period: float,
+        answer: float,
+        watchdog: int,
+        after: int,
+    ) -> None: ...

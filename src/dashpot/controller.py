@@ -246,6 +246,10 @@ class Controller:
         names, laws = [g.name for g in config.joints], [g.label for g in config.joints]
         return cls(np.array(blocks), names, config.period, config.sampling, laws)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled, and copied, it begins with cleared states and every joint active."""
+        return Controller, (self.blocks, self.joints, self.period, self.sampling, self.laws)
+
     def index(self, joint: str) -> int:
         """Position of a joint among the blocks.
 

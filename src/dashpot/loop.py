@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 import dashpot._native as _native
 from dashpot.controller import MODES
-from dashpot.equilibrium import settle
+from dashpot.equilibrium import Equilibrium, settle
 from dashpot.errors import DashpotError, InputError
 from dashpot.plant import Plant, with_payload, with_timestep
 from dashpot.recording import CHANNELS, Recording
-from dashpot.sampled import BLOCK_DTYPE
+from dashpot.sampled import BLOCK_DTYPE, empty_block
 from dashpot.script import Clock, native_faults, tick_of
 from dashpot.supervisor import STATES, decisions, native_guard
 from dashpot.thresholds import watch_records
@@ -64,8 +64,12 @@ def _events(scenario: Scenario) -> NDArray[np.void]:
     return np.array(rows, EVENT_DTYPE)
 
 
-def _start(scenario: Scenario, plant: Plant, core: Any, events: NDArray[np.void], data: Any) -> None:
-    """Puts the arm at rest in equilibrium with the first reference; without one, at it with slack springs."""
+def equilibrium(scenario: Scenario, plant: Plant | None = None) -> Equilibrium | None:
+    """Rest at the first reference, from which a scenario starts; None: there is none."""
+    return _equilibrium(scenario, plant or scenario.plant, _events(scenario))
+
+
+def _equilibrium(scenario: Scenario, plant: Plant, events: NDArray[np.void]) -> Equilibrium | None:
     controller, reference = scenario.controller, scenario.trajectory.position[0]
     joints = controller.joints if controller else ()
     blocks = controller.blocks if controller else np.zeros(0, BLOCK_DTYPE)
@@ -73,18 +77,31 @@ def _start(scenario: Scenario, plant: Plant, core: Any, events: NDArray[np.void]
     for event in events:
         if event["tick"] == 0 and event["kind"] == _KINDS["mode"]:
             modes[joints[event["joint"]]] = MODES[event["value"]]
-    found = None
-    if "off" not in modes.values():
-        bypass = [j for j, mode in modes.items() if mode == "bypass"]
-        torque = None if scenario.trajectory.torque is None else scenario.trajectory.torque[0]
-        found = settle(plant, joints, blocks, reference, bypass, torque)
+    if "off" in modes.values():
+        return None
+    bypass = [j for j, mode in modes.items() if mode == "bypass"]
+    torque = None if scenario.trajectory.torque is None else scenario.trajectory.torque[0]
+    return settle(plant, joints, blocks, reference, bypass, torque)
+
+
+def _start(scenario: Scenario, plant: Plant, core: Any, events: NDArray[np.void], data: Any) -> None:
+    """Puts the arm at rest in equilibrium with the first reference; without one, at it with slack springs."""
+    found = _equilibrium(scenario, plant, events)
     if found is None:
-        data.qpos[plant.rotor_qpos] = reference
+        data.qpos[plant.rotor_qpos] = scenario.trajectory.position[0]
         return
     data.qpos[plant.rotor_qpos] = found.rotor
     data.qpos[plant.drives["spring_qpos"]] = found.deflection
+    joints = scenario.controller.joints if scenario.controller else ()
     for i, joint in enumerate(joints):
         core.preset(i, found.states[i], found.torque[plant.robot.index(joint)])
+
+
+def _delay_lines(blocks: NDArray[np.void]) -> NDArray[np.void]:
+    """What a robot does with torques that come over a link: they take effect `latency` ticks later."""
+    lines = np.array([empty_block()] * len(blocks))
+    lines["latency"] = blocks["latency"]
+    return lines
 
 
 def _check(scenario: Scenario) -> None:
@@ -137,7 +154,7 @@ def _drives(scenario: Scenario, plant: Plant) -> NDArray[np.void]:
     return drives
 
 
-def _ranges(plant: Plant) -> dict[str, tuple[float, float]]:
+def encoder_ranges(plant: Plant) -> dict[str, tuple[float, float]]:
     """Joint -> angles [rad] beyond which an encoder cannot be right."""
     drives = plant.drives
     return {
@@ -208,7 +225,17 @@ class Loop:
         diverged: Tick at which the simulation blew up, or None.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, link: _native.Link | None = None) -> None:
+        """Prepares a run.
+
+        Args:
+            scenario: What to run.
+            link: The controller is at its other end; the scenario's says how the arm starts, and no supervisor
+                runs here.
+
+        Raises:
+            InputError: As `dashpot.simulate.run`.
+        """
         _check(scenario)
         self.scenario, trajectory = scenario, scenario.trajectory
         self.ticks, n = trajectory.position.shape
@@ -217,16 +244,20 @@ class Loop:
         self._models, self._plant = loads(scenario.plant, scenario.payload_changes, trajectory)
         plant, controller = self._plant, scenario.controller
         # A fresh native controller: scenarios that share one must not share its state.
-        self._core = _native.Core(controller.blocks.view(np.uint8)) if controller else None
+        self._link, self._core = link, None
+        if controller is not None:
+            blocks = controller.blocks if link is None else _delay_lines(controller.blocks)
+            self._core = _native.Core(blocks.view(np.uint8))
         self._drives, self._events = _drives(scenario, plant), _events(scenario)
         self.faults: _native.Faults | None = None
         self._guard: _native.Guard | None = None
-        if scenario.supervisor is not None:
+        if scenario.supervisor is not None and link is None:
             if controller is None or self._core is None:
                 raise InputError("needs a controller to supervise", quantity="supervisor")
-            watch = watch_records(controller, plant.robot.drives, scenario.supervisor, _ranges(plant))
+            watch = watch_records(controller, plant.robot.drives, scenario.supervisor, encoder_ranges(plant))
             self._guard = native_guard(self._core, watch, scenario.supervisor, controller.period)
-        if scenario.faults or self._guard is not None:  # by the script a supervisor closes the brakes
+        # By the script a supervisor closes the brakes.
+        if scenario.faults or self._guard is not None or link is not None:
             controlled = controller.joints if controller else ()
             self.faults = native_faults(scenario.faults, plant, controlled, trajectory, scenario.seed)
         self._model, self._data = plant.model, mujoco.MjData(plant.model)
@@ -273,6 +304,7 @@ class Loop:
             self.tick,
             until,
             self._guard,
+            self._link,
         )
         self.tick = until
         if outcome:

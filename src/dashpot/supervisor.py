@@ -74,6 +74,8 @@ REASONS = (
     Reason("drift", "the joint leaves the place where it came to rest", "rad"),
     Reason("sag", "the joint moves on under the brake", "rad"),
     Reason("encoder_stands", "the encoder stands while the reference moves on", "rad"),
+    Reason("done", "the motion is over", ""),
+    Reason("parked", "the arm has come to rest", "rad/s"),
 )
 """In the order of ``DP_WHY_*`` in native/dashpot_supervisor.h."""
 
@@ -176,15 +178,19 @@ class Supervisor:
         """The decisions, oldest first; the latest 64, which is all since the last reset."""
         return decisions(self.guard, self.controller.joints, self.controller.period)
 
-    def stop(self, reason: Literal["operator", "host"] = "operator") -> None:
+    def stop(self, reason: Literal["operator", "host", "done"] = "operator") -> None:
         """Asks for a stop by the torque brake from the next tick on.
 
         Raises:
             InputError: Another reason.
         """
-        if reason not in ("operator", "host"):
-            raise InputError('must be "operator" or "host"', quantity="reason", value=reason)
+        if reason not in ("operator", "host", "done"):
+            raise InputError('must be "operator", "host" or "done"', quantity="reason", value=reason)
         self.guard.stop([r.name for r in REASONS].index(reason))
+
+    def park(self) -> None:
+        """From now on a brake that has brought the arm to rest is followed by the mechanical one: "safe"."""
+        self.guard.park()
 
     def reset(self) -> None:
         """Back to tracking, every signal trusted, states and torques cleared; the log stays. At rest only."""
@@ -208,21 +214,26 @@ def native_guard(
 
 def decisions(guard: _native.Guard, joints: Sequence[str], period: float) -> list[Decision]:
     """What a native supervisor has decided, oldest first; the latest 64, which is all since a reset."""
-    return [
-        Decision(
-            tick * period,
-            tick,
-            joints[joint] if joint >= 0 else None,
-            STATES[before],
-            STATES[after],
-            REASONS[why].name,
-            value,
-            threshold,
-            REASONS[why].unit,
-            REASONS[why].words,
-        )
-        for tick, joint, before, after, why, value, threshold in guard.log()
-    ]
+    return [decision(raw, joints, period) for raw in guard.log()]
+
+
+def decision(
+    raw: tuple[int, int, int, int, int, float, float], joints: Sequence[str], period: float
+) -> Decision:
+    """A native decision in words."""
+    tick, joint, before, after, why, value, threshold = raw
+    return Decision(
+        tick * period,
+        tick,
+        joints[joint] if joint >= 0 else None,
+        STATES[before],
+        STATES[after],
+        REASONS[why].name,
+        value,
+        threshold,
+        REASONS[why].unit,
+        REASONS[why].words,
+    )
 
 
 def next_state(state: State, *events: str) -> State:
@@ -237,6 +248,7 @@ __all__ = [
     "Decision",
     "Supervisor",
     "SupervisorSettings",
+    "decision",
     "load_state",
     "next_state",
 ]

@@ -278,6 +278,7 @@ NB_MODULE(_native, m) {
           nb::arg("speeds").noconvert(), nb::arg("commands").noconvert());
 
     bind_arm(m);
+    bind_lists(m);
     bind_supervisor(m);
     bind_cycle(m);
 

@@ -45,6 +45,7 @@ struct Link {
 void check_drives(const dp_run_args &a, const Vector &qpos, const Vector &qvel, const Vector &qfrc_applied, int controls);
 
 void bind_arm(nb::module_ &m);    // bindings_arm.cpp
+void bind_lists(nb::module_ &m);  // the same
 void bind_cycle(nb::module_ &m);  // bindings_cycle.cpp
 
 #endif

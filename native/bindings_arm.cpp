@@ -102,3 +102,38 @@ void bind_arm(nb::module_ &m) {
             return Ages(l.a.faults ? l.a.faults->encoder_age : l.no_age, {size_t(l.a.drives)}, nb::find(l));
         });
 }
+
+// --- lists of numbers, as other bindings give and take them; per cycle, so without detours over arrays --------
+
+void bind_lists(nb::module_ &m) {
+    m.def("take",
+          [](nb::list from, Vector to) {
+              if (from.size() != to.size())
+                  throw std::invalid_argument("list and array must have the same size");
+              for (size_t j = 0; j < to.size(); j++)
+                  to.data()[j] = nb::cast<double>(from[j]);
+          },
+          nb::arg("list"), nb::arg("to").noconvert());
+    m.def("take_difference",
+          [](nb::list from, nb::list less, Vector to) {
+              if (from.size() != to.size() || less.size() != to.size())
+                  throw std::invalid_argument("lists and array must have the same size");
+              for (size_t j = 0; j < to.size(); j++)
+                  to.data()[j] = nb::cast<double>(from[j]) - nb::cast<double>(less[j]);
+          },
+          nb::arg("list"), nb::arg("less"), nb::arg("to").noconvert());
+    m.def("bounded",
+          [](Vector torque, Vector around, Vector limit, double step) {
+              const size_t n = torque.size();
+              if (around.size() != n || limit.size() != n)
+                  throw std::invalid_argument("arrays must have the same size");
+              nb::list out;
+              for (size_t j = 0; j < n; j++) {
+                  const double u = torque.data()[j], now = around.data()[j];
+                  const double x = u - u == 0.0 ? std::clamp(u, now - step, now + step) : now;
+                  out.append(std::clamp(x, -limit.data()[j], limit.data()[j]));
+              }
+              return out;
+          },
+          nb::arg("torque").noconvert(), nb::arg("around").noconvert(), nb::arg("limit").noconvert(), nb::arg("step"));
+}

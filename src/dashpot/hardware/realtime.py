@@ -37,7 +37,9 @@ def _lock_memory() -> Measure:
     if hasattr(libc, "mlockall") and libc.mlockall(_MCL_CURRENT | (_MCL_FUTURE if free else 0)) == 0:
         return Measure("memory", True, "locked: no page is fetched from disk within a cycle")
     why = os.strerror(ctypes.get_errno())
-    return Measure("memory", False, f"not locked ({why}): a page fault may cost a cycle milliseconds; {_PERMIT}")
+    return Measure(
+        "memory", False, f"not locked ({why}): a page fault may cost a cycle milliseconds; {_PERMIT}"
+    )
 
 
 def _priority(priority: int) -> Measure:
@@ -57,14 +59,20 @@ def _affinity(cpu: int | None) -> Measure:
     if cpu is None:
         listed = isolated.read_text().strip() if isolated.exists() else ""
         if listed:
-            return Measure("processor", False, f"any: {listed} is isolated from other work; use --cpu {listed[0]}")
+            return Measure(
+                "processor", False, f"any: {listed} is isolated from other work; use --cpu {listed[0]}"
+            )
         return Measure(
-            "processor", False, "any: moving between them costs microseconds; boot with isolcpus=N, use --cpu N"
+            "processor",
+            False,
+            "any: moving between them costs microseconds; boot with isolcpus=N, use --cpu N",
         )
     try:
         os.sched_setaffinity(0, {cpu})
     except OSError as error:
-        return Measure("processor", False, f"any: {cpu} is refused ({error.strerror}); --cpu takes one that exists")
+        return Measure(
+            "processor", False, f"any: {cpu} is refused ({error.strerror}); --cpu takes one that exists"
+        )
     return Measure("processor", True, f"{cpu} only")
 
 
@@ -73,7 +81,9 @@ def _kernel() -> Measure:
     if realtime.exists() and realtime.read_text().strip() == "1":
         return Measure("kernel", True, "PREEMPT_RT")
     return Measure(
-        "kernel", False, "not a real-time one: it may hold a cycle up by milliseconds; install a PREEMPT_RT kernel"
+        "kernel",
+        False,
+        "not a real-time one: it may hold a cycle up by milliseconds; install a PREEMPT_RT kernel",
     )
 
 
@@ -95,7 +105,9 @@ def undisturbed(priority: int, cpu: int | None = None) -> Iterator[list[Measure]
     try:
         if priority > 0:
             measures += [_lock_memory(), _priority(priority), _affinity(cpu), _kernel()]
-            libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1))  # [ns]; a sleep is late by up to 50 us by default
+            libc.prctl(
+                _PR_SET_TIMERSLACK, ctypes.c_ulong(1)
+            )  # [ns]; a sleep is late by up to 50 us by default
         yield measures
     finally:
         if priority > 0:

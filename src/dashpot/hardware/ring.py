@@ -14,7 +14,16 @@ import dashpot._native as _native
 from dashpot.sampled import NX
 
 ROWS = 8192  # 8 s at 1 kHz: how long the reader may be away
-COLUMNS = ("torque", "position", "velocity", "in_effect", "command", "reference", "energy_motor", "energy_port")
+COLUMNS = (
+    "torque",
+    "position",
+    "velocity",
+    "in_effect",
+    "command",
+    "reference",
+    "energy_motor",
+    "energy_port",
+)
 """Columns of a row, one number per joint; block states x0 to x3 follow. Units as in `Sample`, energies [J]."""
 ROW_DTYPE = np.dtype(
     [

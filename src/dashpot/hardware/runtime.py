@@ -224,7 +224,9 @@ def _wait_for_reader(cycle: _native.Cycle, patience: float = 10.0) -> None:
 def said(error: BaseException) -> str:
     """An exception in one line."""
     text = " ".join(str(error).split())
-    return text if isinstance(error, DashpotError) and text else f"{type(error).__name__}: {text}".rstrip(": ")
+    return (
+        text if isinstance(error, DashpotError) and text else f"{type(error).__name__}: {text}".rstrip(": ")
+    )
 
 
 def joint_order(hardware: Hardware, controller: Controller) -> NDArray[np.int32]:
@@ -294,7 +296,9 @@ def rest(controller: Controller, sample: Sample, order: NDArray[np.int32]) -> St
     sensed = np.nan_to_num(sample.torque[order])
     asked = sample.in_effect[order]
     blocks = controller.blocks
-    torque = np.clip(np.where(np.isfinite(asked), asked, sensed), -blocks["torque_limit"], blocks["torque_limit"])
+    torque = np.clip(
+        np.where(np.isfinite(asked), asked, sensed), -blocks["torque_limit"], blocks["torque_limit"]
+    )
     states = np.zeros((len(blocks), blocks["B"].shape[1]))
     for j, block in enumerate(blocks):
         n = int(block["nx"])

@@ -150,7 +150,12 @@ class StatusLine:
 
 
 def line(
-    notes: Notes, time: float, state: int, error: NDArray[Any], share: NDArray[Any], statistics: dict[str, Any]
+    notes: Notes,
+    time: float,
+    state: int,
+    error: NDArray[Any],
+    share: NDArray[Any],
+    statistics: dict[str, Any],
 ) -> Any:
     """The status line, as rich draws it."""
     from rich.text import Text
@@ -194,7 +199,9 @@ def read(ring: Ring, notes: Notes, book: Book | None, shown: StatusLine | None, 
     if book is None:
         return
     if ring.missed:
-        book.writer.message(book._last[1], "error", f"{ring.missed} rows were lost: the log could not keep up")
+        book.writer.message(
+            book._last[1], "error", f"{ring.missed} rows were lost: the log could not keep up"
+        )
     if not progress.closed:
         book.writer.message(book._last[1], "error", "the controlling process ended without a stop")
 

@@ -43,7 +43,11 @@ SAMPLE_DTYPE = np.dtype(
 )
 """Layout of ``dp_link_sample``."""
 COMMAND_DTYPE = np.dtype(
-    [("tick", "i8"), ("torque", "f8", (_N,)), *((name, "i4") for name in ("kind", "brake", "state", "status"))]
+    [
+        ("tick", "i8"),
+        ("torque", "f8", (_N,)),
+        *((name, "i4") for name in ("kind", "brake", "state", "status")),
+    ]
 )
 """Layout of ``dp_link_command``."""
 GO_ON, START, STOP = range(3)
@@ -242,7 +246,11 @@ def _spawn(link: socket.socket, scenario: Scenario, settings: LinkSettings) -> s
     """The arm's process, in a session of its own: Ctrl-C in a terminal is for the controller."""
     command = [sys.executable, "-m", "dashpot.hardware.arm", str(link.fileno())]
     process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, pass_fds=(link.fileno(),), start_new_session=True, env=dict(os.environ)
+        command,
+        stdin=subprocess.PIPE,
+        pass_fds=(link.fileno(),),
+        start_new_session=True,
+        env=dict(os.environ),
     )
     assert process.stdin is not None
     pickle.dump((scenario, settings), process.stdin)

@@ -67,7 +67,6 @@ class MoveStatus(enum.IntEnum):
     STARTED = 1
     PREEMPTED = 2
     NOT_POSSIBLE = 5
-    INVALID_ARGUMENT = 7
     REFLEX_ABORTED = 8
 
 

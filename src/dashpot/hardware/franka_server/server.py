@@ -38,7 +38,7 @@ from dashpot.hardware.franka_server.rules import Rules
 
 PATIENCE = 0.5  # [s] for which lock-step waits for an answer; libfranka itself gives up after 1 s
 REPEAT = 0.1  # [s] after which lock-step shows the state again to a client that has not begun to command
-SETTLING = 1000  # ticks for which lock-step lets the arm stop when a motion has ended
+SETTLING = 1000  # ticks for which lock-step lets the arm go on when a motion has ended; then it stands still
 LARGEST = 4096  # [bytes] of a message that a client may send
 
 
@@ -53,6 +53,7 @@ class Tally:
         late: Ticks that the server itself was late for by more than a period; it makes none of them up.
         motions: Started.
         reflexes: With which they ended, as ``"name at 1.234 s"``.
+        before: Cycles and lost packets of the motions before this one.
     """
 
     cycles: int = 0
@@ -61,6 +62,13 @@ class Tally:
     late: int = 0
     motions: int = 0
     reflexes: list[str] = field(default_factory=list)
+    before: tuple[int, int] = (0, 0)
+
+    def since(self) -> str:
+        """What has come to pass since the last call, in words."""
+        cycles, lost = self.cycles - self.before[0], self.lost - self.before[1]
+        self.before = self.cycles, self.lost
+        return f"{cycles} cycles, {lost} packets lost"
 
 
 class _GoneError(Exception):
@@ -175,8 +183,8 @@ class _Session:
             pass
         finally:
             if self._rules is not None:
-                self._server.say(f"{self._arm.time:.3f} s: the client left while it was in control")
-                self._end(Mode.IDLE)
+                self._end(Mode.IDLE, "the client left")
+            self._settle(SETTLING)
             self._udp.close()
 
     # --- ticks --------------------------------------------------------------------------------------------
@@ -202,11 +210,8 @@ class _Session:
         """One answer of the client, or some time in which it has not begun to command."""
         self._publish()
         if self._rules is None:
-            for _ in range(self._settling):
-                self._arm.hold()
-                self._arm.sense()
-            self._settling = 0
             self._wait(PERIOD)
+            self._settle(1)
             return
         patience = time.perf_counter() + (PATIENCE if self._begun else REPEAT)
         while not self._answered and self._rules is not None:
@@ -216,6 +221,13 @@ class _Session:
             self._wait(left)
         if self._rules is not None and self._begun:
             self._advance(self._rules)
+
+    def _settle(self, ticks: int) -> None:
+        """In lock-step, so many of the ticks for which the arm goes on after a motion, as far as there are any."""
+        for _ in range(min(ticks, self._settling)):
+            self._settling -= 1
+            self._arm.hold()
+            self._arm.sense()
 
     def _advance(self, rules: Rules) -> None:
         tally = self._server.tally
@@ -246,9 +258,14 @@ class _Session:
 
     def _wait(self, timeout: float) -> None:
         """Looks after both sockets for at most so long [s]; returns after whatever came first."""
-        ready, _, _ = select.select([self._tcp, self._udp], [], [], timeout)
+        listener = self._server._listener
+        ready, _, _ = select.select([self._tcp, self._udp, listener], [], [], timeout)
         if self._udp in ready:
             self._receive()
+        if listener in ready:  # the robot, too, has one client at a time
+            other, peer = listener.accept()
+            other.close()
+            self._server.say(f"refused {peer[0]}: the robot is taken")
         if self._tcp in ready:
             data = self._tcp.recv(LARGEST)
             if not data:
@@ -275,7 +292,7 @@ class _Session:
             return
         if command["torque_command_finished"]:
             self._reply(Request.MOVE, self._move, MoveStatus.SUCCESS)
-            self._end(Mode.IDLE)
+            self._end(Mode.IDLE, "finished by the client")
             return
         reflex = rules.command(command["tau_J_d"])
         if reflex is not None:
@@ -308,8 +325,7 @@ class _Session:
             self._reply(kind, number)
             if self._rules is not None:
                 self._reply(Request.MOVE, self._move, MoveStatus.PREEMPTED)
-                self._server.say(f"{self._arm.time:.3f} s: stopped by the client")
-                self._end(Mode.IDLE)
+                self._end(Mode.IDLE, "stopped by the client")
         elif kind is Request.GET_ROBOT_MODEL:
             self._answer(kind, number, b"\0" + self._server._model)
         else:
@@ -351,9 +367,10 @@ class _Session:
             return
         if controller != Controller.EXTERNAL or generator + 1 != Generator.NONE:
             self._server.say("refused: this robot takes torques only (start_torque_control)")
-            self._reply(Request.MOVE, number, MoveStatus.INVALID_ARGUMENT)
+            self._reply(Request.MOVE, number, MoveStatus.NOT_POSSIBLE)
             return
         tally = self._server.tally
+        self._settle(SETTLING)
         if tally.motions == 0:
             self._arm.begin()  # the script's clock starts here
         tally.motions += 1
@@ -370,15 +387,14 @@ class _Session:
 
     def _abort(self, reflex: Reflex) -> None:
         """Stops as the robot does: the state says why before the answer to Move does."""
-        at = f"{reflex} at {self._arm.time:.3f} s"
-        self._server.tally.reflexes.append(at)
-        self._server.say(f"{self._arm.time:.3f} s: reflex: {reflex}")
+        self._server.tally.reflexes.append(f"{reflex} at {self._arm.time:.3f} s")
         self._state["errors"][reflex] = self._state["reflex_reason"][reflex] = 1
-        self._end(Mode.REFLEX)
+        self._end(Mode.REFLEX, f"reflex {reflex}")
         self._publish()
         self._reply(Request.MOVE, self._move, MoveStatus.REFLEX_ABORTED)
 
-    def _end(self, mode: Mode) -> None:
+    def _end(self, mode: Mode, why: str) -> None:
+        self._server.say(f"{self._arm.time:.3f} s: {why}; {self._server.tally.since()}")
         self._rules = None
         self._mode(mode)
         self._arm.engage()

@@ -16,6 +16,12 @@ long long nanoseconds(clockid_t clock) {
     return t.tv_sec * 1000000000LL + t.tv_nsec;
 }
 
+void sleep_until(long long when) {
+    const timespec t = {when / 1000000000LL, when % 1000000000LL};
+    while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, nullptr) == EINTR) {
+    }
+}
+
 // One run of the loop: what dp_cycle_step needs, the arrays of the sample it reads, and the clocks.
 struct Cycle {
     dp_cycle c{};
@@ -44,9 +50,7 @@ struct Cycle {
         deadline = deadline ? deadline + period : now;
         if (now > deadline + period)
             deadline += (now - deadline) / period * period;
-        const timespec t = {deadline / 1000000000LL, deadline % 1000000000LL};
-        while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, nullptr) == EINTR) {
-        }
+        sleep_until(deadline);
     }
 };
 
@@ -159,6 +163,7 @@ void bind_cycle(nb::module_ &m) {
                 dp_cycle_step(&s.c, &s.sample, i, 0.0, s.out);
             }
         });
+    m.def("sleep_until", &sleep_until, nb::arg("nanoseconds"), nb::call_guard<nb::gil_scoped_release>());
     m.def("ring_drain",
           [](Bytes memory, Bytes out, unsigned long long next) {
               unsigned long long missed = 0;
@@ -181,7 +186,7 @@ void bind_cycle(nb::module_ &m) {
     nb::class_<Link>(m, "Link")
         .def("__init__",
              [](Link *self, int socket, bool realtime, bool listening, double period, double answer, int watchdog,
-                int after) {
+                int after, int quiet) {
                  if (!(period > 0) || !(answer > 0 && answer <= 1) || watchdog < 1 || after < 0)
                      throw std::invalid_argument("a setting of the link is out of range");
                  new (self) Link();
@@ -192,10 +197,11 @@ void bind_cycle(nb::module_ &m) {
                  self->l.answer = answer;
                  self->l.watchdog = watchdog;
                  self->l.after = after;
+                 self->l.quiet = quiet;
                  dp_link_begin(&self->l);
              },
              nb::arg("socket"), nb::arg("realtime"), nb::arg("listening"), nb::arg("period"), nb::arg("answer"),
-             nb::arg("watchdog"), nb::arg("after"))
+             nb::arg("watchdog"), nb::arg("after"), nb::arg("quiet"))
         .def_prop_ro("started", [](const Link &s) { return s.l.started != 0; })
         .def_prop_ro("stopped", [](const Link &s) { return s.l.stopped != 0; })
         .def_prop_ro("gone", [](const Link &s) { return s.l.gone != 0; })

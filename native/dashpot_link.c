@@ -95,7 +95,7 @@ int dp_link_exchange(struct dp_supervisor *self, dp_controller *c, const double 
     const int n = c->n, tick = *l->tick;
     dp_link_sample s;
     memset(&s, 0, sizeof s);
-    if (l->realtime && !l->stopped) {
+    if (l->realtime && !l->stopped && tick >= l->quiet) {
         const long long due = (long long)(tick * l->period * 1e9);
         if (l->begun == 0)
             l->begun = now() - due;
@@ -113,7 +113,7 @@ int dp_link_exchange(struct dp_supervisor *self, dp_controller *c, const double 
         s.torque_age[j] = torque_age[j];
         s.encoder_age[j] = encoder_age[j];
     }
-    if (!l->stopped)
+    if (!l->stopped && tick >= l->quiet)
         converse(l, &s, n);
     if (!l->listening && l->tripped_at < 0 && (l->stopped || tick - l->silent_at >= l->watchdog))
         l->tripped_at = tick;

@@ -36,6 +36,7 @@ typedef struct {
     int socket;
     int realtime;      /* 1: a tick begins when its time has come; 0: when the answer to the last one is there */
     int listening;     /* brakes closed: answers are requests for the next sample, or DP_LINK_START */
+    int quiet;         /* ticks that go by first without a word: until the brakes have closed and all is calm */
     int watchdog;      /* ticks of silence after which the arm stops by itself */
     int after;         /* ticks from there, or from a stop, until the run ends */
     double period;     /* [s] */

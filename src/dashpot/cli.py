@@ -102,6 +102,85 @@ class Simulate:
 
 
 @dataclass
+class Run:
+    """Run a controller on a robot, in real time and under the supervisor (docs/hardware.md).
+
+    Limits, rates, certificate, samples and sensor bias are checked first, and no torque is sent unless all is
+    well. However it ends, with Ctrl-C too, the arm is braked to rest and its mechanical brakes close.
+
+    Exit status: 0 the motion is over (or all checks pass), 1 a check fails, or the supervisor, the robot or its
+    adapter ended the run, 2 bad input, 130 stopped by Ctrl-C, 143 by SIGTERM.
+    """
+
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
+    """Robot TOML, or k807, fr3, iiwa14."""
+    controller: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CONTROLLER")]
+    """Controller TOML, or k807-wrist, k807-resonant, fr3, iiwa14."""
+    via: Annotated[str, tyro.conf.arg(metavar="sim|franka|MODULE:CLASS")] = "sim"
+    """The link: a simulated arm in a process of its own, a Franka robot, or your adapter, called with host and
+    robot (examples/own_hardware.py)."""
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: none)")] = ""
+    """Of the robot."""
+    check: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Check everything and send no torque."""
+    certificate: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: certify now)")
+    ] = None
+    """certificate.json of dashpot certify, of exactly these coefficients and drives."""
+    uncertified: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Run though nobody has shown that no load makes the joints oscillate."""
+    motion: Annotated[str, tyro.conf.arg(metavar="hold|FILE")] = "hold"
+    """Hold the arm where it is, or follow a CSV file as of dashpot simulate, after 1 s at rest."""
+    duration: Annotated[
+        float | None,
+        tyro.conf.arg(
+            metavar="SECONDS", help_behavior_hint="(default: the whole file; until Ctrl-C, 10 with sim)"
+        ),
+    ] = None
+    """Of the run [s]."""
+    payload: Annotated[float, tyro.conf.arg(metavar="KG")] = 0.0
+    """Mass on the flange [kg]: sensor bias is what is left of the torques at rest without the arm's weight."""
+    offset: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X [Y Z]")] = (0.0,)
+    """Its centre in the flange frame [m]: one number along x, or three."""
+    samples: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 500
+    """Samples of the arm at rest that are looked at first."""
+    log: Annotated[Path | None, tyro.conf.arg(metavar="FILE.mcap", help_behavior_hint="(default: none)")] = (
+        None
+    )
+    """Everything measured, commanded and decided, at every tick."""
+    priority: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 80
+    """Real-time priority asked for, 1 to 99; 0: none."""
+    cpu: Annotated[int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: any)")] = None
+    """Processor the loop stays on."""
+    lock_step: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """sim: the arm waits for every torque; the same bits every time, those of dashpot simulate --supervise."""
+    fault: Annotated[
+        tuple[str, ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(metavar="KIND[:JOINT]@START[-END][=VALUE]", help_behavior_hint="(default: none)"),
+    ] = ()
+    """sim: something that fails, as in dashpot simulate; may be given several times."""
+    payload_at: Annotated[
+        tuple[str, ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(metavar="TIME=KG", help_behavior_hint="(default: never)"),
+    ] = ()
+    """sim: from this time on [s] the flange carries this mass [kg]; may be given several times."""
+    seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """sim: of sensor noise and dropped samples."""
+    record: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE.npz", help_behavior_hint="(default: none)")
+    ] = None
+    """sim: what the arm did, written by its own process once it is at rest, even where this one was killed."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from dashpot.commands.run import run
+
+        return run(self)
+
+
+@dataclass
 class Certify:
     """Certify that no payload, pose or contact can make the joints oscillate; exit status 0 only then.
 
@@ -533,6 +612,7 @@ Command = (
     | Annotated[Map, tyro.conf.subcommand("map")]
     | Annotated[Design, tyro.conf.subcommand("design")]
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
+    | Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[FrankaServer, tyro.conf.subcommand("franka-server")]
     | Annotated[Excite, tyro.conf.subcommand("excite")]
     | Annotated[Identify, tyro.conf.subcommand("identify")]

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.console import Console
 
-from dashpot.certify.certificate import Certificate, JointCertificate, certify_joint, paired
+from dashpot.certify.certificate import Certificate, JointCertificate, block_of, certify_joint, paired
+from dashpot.certify.digest import digest
 from dashpot.commands.shared import file_names, progress
 from dashpot.controller import ControllerConfig, JointGains, Law, gains_of, load_controller
 from dashpot.drive import Drive
@@ -46,9 +47,9 @@ def certify(options: Certify) -> int:
                 for joint, (drive, gains) in zip(joints, pairs, strict=True):
                     _keep(folder / files[joint.name], joint, drive, gains, config)
                     advance()
-                (folder / "certificate.json").write_text(_json(certificate), encoding="utf-8")
+                (folder / "certificate.json").write_text(_json(certificate, pairs, config), encoding="utf-8")
     if options.json:
-        print(_json(certificate))
+        print(_json(certificate, pairs, config))
     else:
         from dashpot.commands.certify_view import show
 
@@ -112,5 +113,8 @@ def _keep(place: Path, joint: JointCertificate, drive: Drive, gains: Law, config
         write(place, load.load, shown, gains, config, joint.point)
 
 
-def _json(certificate: Certificate) -> str:
-    return json.dumps(certificate.table(), indent=2, allow_nan=False)
+def _json(certificate: Certificate, pairs: list[tuple[Drive, Law]], config: ControllerConfig) -> str:
+    """With the digest of what was certified, by which `dashpot run` knows it again."""
+    blocks = np.array([block_of(drive, gains, config) for drive, gains in pairs])
+    about = digest([drive for drive, _ in pairs], blocks, config)
+    return json.dumps({"digest": about, **certificate.table()}, indent=2, allow_nan=False)

@@ -20,11 +20,13 @@ from dashpot.simulate import Scenario
 from dashpot.trajectory import hold
 
 LISTEN = 10.0  # [s] at rest that are simulated at a time until somebody takes the arm over
+CALM = 1.5  # [s] for the brakes to close and the links to stop ringing, before anybody listens
 
 
 def _link(file: int, settings: LinkSettings, period: float, listening: bool) -> _native.Link:
     after = max(1, round(settings.after / period))
-    means = settings.answer, settings.watchdog, after
+    quiet = round(CALM / period) if listening else 0
+    means = settings.answer, settings.watchdog, after, quiet
     return _native.Link(file, settings.realtime, listening, period, *means)
 
 

@@ -1,0 +1,55 @@
+"""A robot of your own: this class is all it takes for `dashpot run`. Here it is a MuJoCo arm with elastic joints.
+
+    cd examples && dashpot run own_arm.toml own_gains.toml --via own_hardware:OwnArm --duration 3
+"""
+
+import mujoco
+import numpy as np
+
+STEPS = 10  # physics steps per cycle
+
+
+class OwnArm:
+    paced = False  # the loop's clock paces; `read` takes the newest sample
+
+    def __init__(self, host, robot):
+        self.joints, self.period, self.reason = robot.joints, 0.001, ""
+        spec = mujoco.MjSpec.from_file(str(robot.model))
+        spec.option.timestep, spec.option.integrator = self.period / STEPS, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        for drive in robot.drives:  # motor, transmission (a spring with the torque sensor), link
+            motor = spec.joint(drive.name)
+            motor.armature, motor.damping[0], motor.frictionloss = drive.rotor_inertia, drive.viscous_friction, 500.0
+            spring = motor.parent.add_joint(name=f"{drive.name}/spring", axis=motor.axis)
+            spring.stiffness[0], spring.damping[0] = drive.stiffness, drive.damping
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.motor = [self.model.joint(drive.name).id for drive in robot.drives]
+        self.spring = [self.model.joint(f"{drive.name}/spring").id for drive in robot.drives]
+        self.k = np.array([drive.stiffness for drive in robot.drives])
+        self.c = np.array([drive.damping for drive in robot.drives])
+        self.friction = [drive.coulomb_friction for drive in robot.drives]
+        self.torque = np.zeros(len(self.joints))
+
+    def start(self):
+        self.model.dof_frictionloss[self.motor] = self.friction  # the brakes open
+
+    def read(self, sample):
+        sample.torque[:] = 0.0
+        for _ in range(STEPS):  # a cycle of the robot goes by; the torque sensor averages over it
+            self.data.qfrc_applied[self.motor] = self.torque
+            mujoco.mj_step(self.model, self.data)
+            twist, rate = self.data.qpos[self.spring], self.data.qvel[self.spring]
+            sample.torque -= (self.k * twist + self.c * rate) / STEPS
+        sample.time = self.data.time
+        sample.position, sample.velocity = self.data.qpos[self.motor], self.data.qvel[self.motor]
+        sample.in_effect = self.torque
+        return True  # False, with a reason, where your robot has ended the motion
+
+    def write(self, torque):
+        self.torque[:] = torque
+
+    def apply_brake(self):
+        self.model.dof_frictionloss[self.motor] = 500.0
+
+    def stop(self):
+        self.torque[:] = 0.0

@@ -69,12 +69,14 @@ class FrankaHardware:
         joints: Names in the robot file, base to tip.
         period: 1 ms.
         paced: True: `read` waits for the robot's next state.
+        carries_weight: True: the robot adds gravity, see above.
         reason: Why the robot ended the motion; libfranka's words.
         host: Address of the robot.
     """
 
     period = PERIOD
     paced = True
+    carries_weight = True
 
     def __init__(self, host: str, robot: Robot, *, load: Payload | None = None) -> None:
         """Connects; moves nothing.

@@ -82,6 +82,7 @@ class Arm:
     Attributes:
         state: What is published, a record of `STATE`; `sense` fills in what is measured.
         fine: False once the simulation has blown up.
+        begun: Whether the clock of the script runs.
     """
 
     def __init__(
@@ -126,14 +127,21 @@ class Arm:
             self.state[name] = np.eye(4).ravel()
         self.state["O_ddP_O"] = self.gravity.acceleration
         self._torque, self._theta, self._dtheta, self._q, self._dq = np.zeros((5, JOINTS))
-        self.begin()
+        self._rest(PlantLink(self._plant, PERIOD, seed=seed))
+        self.begun = False
 
     def begin(self) -> None:
-        """Rests at home with its clock at zero, under its own control."""
+        """Starts the clock of the script, for the first motion, and the recording; the arm still rests at home."""
         faults, changes = self._script
-        self._link = PlantLink(
-            self._plant, PERIOD, faults=faults, payload_changes=changes, seed=self._seed, record=self._record
+        self._rest(
+            PlantLink(
+                self._plant, PERIOD, faults=faults, payload_changes=changes, seed=self._seed, record=self._record
+            )
         )
+        self.begun = True
+
+    def _rest(self, link: PlantLink) -> None:
+        self._link = link
         self.fine = True
         self._motor = self._link.carried.copy()
         self.engage(brakes=False)

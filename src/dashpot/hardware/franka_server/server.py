@@ -371,8 +371,8 @@ class _Session:
             return
         tally = self._server.tally
         self._settle(SETTLING)
-        if tally.motions == 0:
-            self._arm.begin()  # the script's clock starts here
+        if not self._arm.begun:
+            self._arm.begin()
         tally.motions += 1
         self._rules, self._begun, self._move = (
             Rules(self._server.limits, self._server._enforce),

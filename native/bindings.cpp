@@ -9,11 +9,6 @@
 
 namespace {
 
-// The faults of one run, with what they remember; used by one run at a time.
-struct Faults {
-    dp_faults f{};
-};
-
 const dp_block *blocks_of(const Bytes &raw, int &n) {
     if (raw.size() == 0 || raw.size() % sizeof(dp_block) != 0)
         throw std::invalid_argument("coefficient blocks have the wrong size");
@@ -82,16 +77,7 @@ nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t 
         a.end = &link->l.end;
         link->l.tick = &a.tick;
     }
-    for (int j = 0; j < a.drives; j++) {
-        const dp_drive &d = a.drive[j];
-        auto bad = [](int i, size_t n) { return i < 0 || static_cast<size_t>(i) >= n; };
-        if (bad(d.rotor_qpos, qpos.size()) || bad(d.spring_qpos, qpos.size()) || bad(d.rotor_dof, qvel.size()) ||
-            bad(d.spring_dof, qvel.size()) || qfrc_applied.size() != qvel.size())
-            throw std::invalid_argument("a drive's index is outside the engine's state");
-        if (d.control >= (core ? core->c.n : 0) || d.sensor_delay < 0 || d.sensor_delay > DP_MAX_DELAY ||
-            d.inner_steps < 1)
-            throw std::invalid_argument("a drive's control index, delay or inner period is out of range");
-    }
+    check_drives(a, qpos, qvel, qfrc_applied, core ? core->c.n : 0);
     for (int i = 0; i < a.events; i++)
         if (!core || a.event[i].joint < 0 || a.event[i].joint >= core->c.n)
             throw std::invalid_argument("an event names a joint that is not controlled");
@@ -303,6 +289,8 @@ NB_MODULE(_native, m) {
           nb::arg("torque_gain"), nb::arg("speed"), nb::arg("window"), nb::arg("still"),
           nb::arg("speeds").noconvert(), nb::arg("commands").noconvert());
 
+    bind_arm(m);
+    bind_lists(m);
     bind_supervisor(m);
     bind_cycle(m);
 

@@ -5,6 +5,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
+#include "dashpot_faults.h"
 #include "dashpot_link.h"
 #include "dashpot_supervisor.h"
 
@@ -30,11 +31,21 @@ struct Guard {
     int32_t torque_age[DP_MAX_JOINTS] = {}, encoder_age[DP_MAX_JOINTS] = {};
 };
 
+// The faults of one run, with what they remember; used by one run at a time.
+struct Faults {
+    dp_faults f{};
+};
+
 // The robot's side of a link to a controller in another process.
 struct Link {
     dp_link l{};
 };
 
+// Checks that the drives' indices are within the engine's state, and those of their controls below a number.
+void check_drives(const dp_run_args &a, const Vector &qpos, const Vector &qvel, const Vector &qfrc_applied, int controls);
+
+void bind_arm(nb::module_ &m);    // bindings_arm.cpp
+void bind_lists(nb::module_ &m);  // the same
 void bind_cycle(nb::module_ &m);  // bindings_cycle.cpp
 
 #endif

@@ -135,10 +135,36 @@ static const double *row(const double *table, const dp_run_args *a, int field, i
     return &table[((long)field * a->ticks + tick) * a->drives + j];
 }
 
+/* What is sensed of drive j at a tick, faults included; recorded in row `at`. */
+static void sense(const dp_run_args *a, int tick, int at, int j, double *torque, double *position, double *velocity)
+{
+    const double period = a->dt * a->steps_per_tick;
+    dp_drive *d = &a->drive[j];
+    double q = a->qpos[d->rotor_qpos], w = a->qvel[d->rotor_dof];
+    if (d->position_resolution > 0.0) {
+        q = d->position_resolution * floor(q / d->position_resolution + 0.5);
+        w = tick > 0 ? (q - d->encoder) / period : w;
+    }
+    d->encoder = q;
+    double tau = sample(d, tick > 0 ? a->steps_per_tick : 0);
+    if (a->faults && d->control >= 0)
+        dp_faults_sample(a->faults, j, tick, period, &tau, &q, &w);
+    if (a->record) {
+        record(a, at, j, DP_REC_POSITION, q);
+        record(a, at, j, DP_REC_VELOCITY, w);
+        record(a, at, j, DP_REC_LINK_POSITION, a->qpos[d->rotor_qpos] + a->qpos[d->spring_qpos]);
+        record(a, at, j, DP_REC_LINK_VELOCITY, a->qvel[d->rotor_dof] + a->qvel[d->spring_dof]);
+        record(a, at, j, DP_REC_TORQUE, d->tau);
+        record(a, at, j, DP_REC_SAMPLE, tau);
+    }
+    *torque = tau;
+    *position = q;
+    *velocity = w;
+}
+
 static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in, double *out)
 {
     const int n = c ? c->n : 0;
-    const double period = a->dt * a->steps_per_tick;
     dp_faults *f = a->faults;
     int torque_age[DP_MAX_JOINTS] = {0}, encoder_age[DP_MAX_JOINTS] = {0}, powered = 1;
     if (f) {
@@ -146,30 +172,15 @@ static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in,
         powered = f->powered;
     }
     for (int j = 0; j < a->drives; j++) {
-        dp_drive *d = &a->drive[j];
-        double q = a->qpos[d->rotor_qpos], w = a->qvel[d->rotor_dof];
-        if (d->position_resolution > 0.0) {
-            q = d->position_resolution * floor(q / d->position_resolution + 0.5);
-            w = tick > 0 ? (q - d->encoder) / period : w;
-        }
-        d->encoder = q;
-        double tau = sample(d, tick > 0 ? a->steps_per_tick : 0);
-        const int i = d->control;
-        if (f && i >= 0) {
-            dp_faults_sample(f, j, tick, period, &tau, &q, &w);
+        double tau, q, w;
+        sense(a, tick, tick, j, &tau, &q, &w);
+        const int i = a->drive[j].control;
+        if (i < 0)
+            continue;
+        if (f) {
             torque_age[i] = f->torque_age[j];
             encoder_age[i] = f->encoder_age[j];
         }
-        if (a->record) {
-            record(a, tick, j, DP_REC_POSITION, q);
-            record(a, tick, j, DP_REC_VELOCITY, w);
-            record(a, tick, j, DP_REC_LINK_POSITION, a->qpos[d->rotor_qpos] + a->qpos[d->spring_qpos]);
-            record(a, tick, j, DP_REC_LINK_VELOCITY, a->qvel[d->rotor_dof] + a->qvel[d->spring_dof]);
-            record(a, tick, j, DP_REC_TORQUE, d->tau);
-            record(a, tick, j, DP_REC_SAMPLE, tau);
-        }
-        if (i < 0)
-            continue;
         in[DP_IN_TORQUE * n + i] = tau;
         in[DP_IN_POSITION * n + i] = q;
         in[DP_IN_VELOCITY * n + i] = w;
@@ -224,7 +235,7 @@ static void begin(const dp_controller *c, dp_run_args *a)
         d->filter_x[1] = d->friction_z = d->hysteresis_z = d->sum = d->integral = d->encoder = 0.0;
         d->spare = NAN;
         d->friction = d->inner_correction = 0.0;
-        d->motor = d->asked = d->control >= 0 ? c->state[d->control].in_effect : 0.0;
+        d->motor = d->asked = c && d->control >= 0 ? c->state[d->control].in_effect : 0.0;
         for (int i = 0; i < DP_MAX_DELAY; i++)
             d->delay[i] = tau;
     }
@@ -232,11 +243,41 @@ static void begin(const dp_controller *c, dp_run_args *a)
         dp_faults_begin(a->faults, a->drive);
 }
 
+/* The physics steps of one tick, with the motor torques as they are set. */
+static int advance(const dp_run_args *a, int tick)
+{
+    long step = (long)tick * a->steps_per_tick;
+    for (int k = 0; k < a->steps_per_tick; k++, step++) {
+        for (int j = 0; j < a->drives; j++) {
+            double reference[2] = {0.0, 0.0};
+            if (a->drive[j].control < 0 && a->reference) {
+                const int held = a->faults && a->faults->stopped_at >= 0;
+                reference[0] = *row(a->reference, a, 0, held ? a->faults->stopped_at : tick, j);
+                reference[1] = held ? 0.0 : *row(a->reference, a, 1, tick, j);
+            }
+            actuate(&a->drive[j], a, a->reference ? reference : 0, k * a->dt,
+                    a->external ? *row(a->external, a, 0, tick, j) : 0.0, step);
+        }
+        if (a->faults && a->faults->acting)
+            dp_faults_forces(a->faults, a);
+        a->step(a->model, a->data);
+        double fastest = 0.0;
+        for (int j = 0; j < a->drives; j++) {
+            dp_drive *d = &a->drive[j];
+            observe(d, a->qpos, a->qvel, a->dt, step);
+            double w = fabs(a->qvel[d->rotor_dof]) + fabs(a->qvel[d->spring_dof]);
+            fastest = w > fastest || w != w ? w : fastest;
+        }
+        if (!(fastest < MAX_SPEED))
+            return DP_RUN_DIVERGED;
+    }
+    return DP_RUN_OK;
+}
+
 int dp_run(dp_controller *c, dp_run_args *a)
 {
     double in[DP_NIN * DP_MAX_JOINTS] = {0}, out[DP_MAX_JOINTS] = {0};
     int next = 0;
-    long step = (long)a->first * a->steps_per_tick;
     if (a->first == 0)
         begin(c, a);
     while (next < a->events && a->event[next].tick < a->first)
@@ -249,32 +290,34 @@ int dp_run(dp_controller *c, dp_run_args *a)
         control_tick(c, a, tick, in, out);
         if (a->end && *a->end)
             return DP_RUN_OK;
-        for (int k = 0; k < a->steps_per_tick; k++, step++) {
-            for (int j = 0; j < a->drives; j++) {
-                double reference[2] = {0.0, 0.0};
-                if (a->drive[j].control < 0 && a->reference) {
-                    const int held = a->faults && a->faults->stopped_at >= 0;
-                    reference[0] = *row(a->reference, a, 0, held ? a->faults->stopped_at : tick, j);
-                    reference[1] = held ? 0.0 : *row(a->reference, a, 1, tick, j);
-                }
-                actuate(&a->drive[j], a, a->reference ? reference : 0, k * a->dt,
-                        a->external ? *row(a->external, a, 0, tick, j) : 0.0, step);
-            }
-            if (a->faults && a->faults->acting)
-                dp_faults_forces(a->faults, a);
-            a->step(a->model, a->data);
-            double fastest = 0.0;
-            for (int j = 0; j < a->drives; j++) {
-                dp_drive *d = &a->drive[j];
-                observe(d, a->qpos, a->qvel, a->dt, step);
-                double w = fabs(a->qvel[d->rotor_dof]) + fabs(a->qvel[d->spring_dof]);
-                fastest = w > fastest || w != w ? w : fastest;
-            }
-            if (!(fastest < MAX_SPEED)) {
-                a->diverged_tick = tick;
-                return DP_RUN_DIVERGED;
-            }
+        if (advance(a, tick) != DP_RUN_OK) {
+            a->diverged_tick = tick;
+            return DP_RUN_DIVERGED;
         }
     }
     return DP_RUN_OK;
+}
+
+void dp_sense(dp_run_args *a, int tick, double *torque, double *position, double *velocity)
+{
+    if (tick == 0)
+        begin(0, a);
+    if (a->faults)
+        dp_faults_tick(a->faults, a, tick);
+    for (int j = 0; j < a->drives; j++)
+        sense(a, tick, 0, j, &torque[j], &position[j], &velocity[j]);
+}
+
+int dp_push(dp_run_args *a, int tick, const double *torque)
+{
+    const int powered = !a->faults || a->faults->powered;
+    for (int j = 0; j < a->drives; j++) {
+        dp_drive *d = &a->drive[j];
+        d->motor = powered && torque[j] - torque[j] == 0.0 ? torque[j] : 0.0;
+        if (a->record) {
+            record(a, 0, j, DP_REC_COMMAND, torque[j]);
+            record(a, 0, j, DP_REC_IN_EFFECT, clamp(d->motor, d->torque_limit));
+        }
+    }
+    return advance(a, tick);
 }

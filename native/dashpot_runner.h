@@ -116,6 +116,12 @@ typedef struct {
  * engine's model may be another one with the same degrees of freedom, the time step may not. */
 int dp_run(dp_controller *c, dp_run_args *a);
 
+/* The arm alone, one tick at a time, its motor torques given from outside: dp_sense at the tick, then dp_push with the
+ * torque of every drive [N m] held until the next (0 where it is not finite, or the arm is without power). Every drive's
+ * control must be >= 0, or its sensors do not fail; a->record, if any, has one row. As dp_run at tick 0 and after. */
+void dp_sense(dp_run_args *a, int tick, double *torque, double *position, double *velocity);
+int dp_push(dp_run_args *a, int tick, const double *torque);
+
 /* Uniform in (0, 1). splitmix64: the state advances by a constant, so a stream depends on its seed only. */
 double dp_uniform(unsigned long long *state);
 

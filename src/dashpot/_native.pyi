@@ -39,6 +39,36 @@ class Faults:
         self, script: NDArray[np.uint8], drives: NDArray[np.float64], brake_delay: float
     ) -> None: ...
 
+def take(list: list[float], to: NDArray[np.float64]) -> None: ...
+def take_difference(list: list[float], less: list[float], to: NDArray[np.float64]) -> None: ...
+def bounded(
+    torque: NDArray[np.float64], around: NDArray[np.float64], limit: NDArray[np.float64], step: float
+) -> list[float]: ...
+
+class Arm:
+    tick: int
+    record: NDArray[np.float64]
+    torque_age: NDArray[np.int32]
+    encoder_age: NDArray[np.int32]
+    def __init__(
+        self, drives: NDArray[np.uint8], step: int, dt: float, steps_per_tick: int, faults: Faults | None
+    ) -> None: ...
+    def engine(
+        self,
+        model: int,
+        data: int,
+        qpos: NDArray[np.float64],
+        qvel: NDArray[np.float64],
+        qfrc_applied: NDArray[np.float64],
+    ) -> None: ...
+    def sense(
+        self,
+        torque: NDArray[np.float64],
+        position: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+    ) -> None: ...
+    def push(self, torque: NDArray[np.float64]) -> bool: ...
+
 WATCH_SIZE: int
 RULES_SIZE: int
 REASONS: int

@@ -630,6 +630,56 @@ class Report:
         return report(self)
 
 
+@dataclass
+class FrankaServer:
+    """Serve a simulated Franka Research 3 to libfranka and pylibfranka programs, its torque sensors real ones.
+
+    The arm has elastic joints, friction and a payload; tau_J is what passes through each transmission. It
+    takes torque control and stops with the robot's own reflexes. Connect to its address as to the robot
+    (docs/franka.md). Ctrl-C or SIGTERM ends it.
+    """
+
+    robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = "fr3"
+    """Robot TOML of seven joints, or fr3."""
+    payload: Annotated[float, tyro.conf.arg(metavar="KG")] = 0.0
+    """Mass on the flange [kg] that the robot does not know of; what a client declares (set_load), it carries."""
+    offset: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X [Y Z]")] = (0.0,)
+    """Its centre in the flange frame [m]: one number along x, or three."""
+    payload_at: Annotated[
+        tuple[str, ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(metavar="TIME=KG", help_behavior_hint="(default: never)"),
+    ] = ()
+    """From this time on [s] the flange carries this mass [kg] at the same offset, 0: it has let go; may be
+    given several times. Times count from the start of the first motion."""
+    fault: Annotated[
+        tuple[str, ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(metavar="KIND[:JOINT]@START[-END][=VALUE]", help_behavior_hint="(default: none)"),
+    ] = ()
+    """Something that fails, e.g. encoder_frozen:joint4@2; may be given several times. docs/faults.md lists
+    the kinds; times in s, as above."""
+    friction: Annotated[float, tyro.conf.arg(metavar="SHARE")] = 0.2
+    """Share of the drives' friction that the robot compensates [-]."""
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Address to listen at, port 1337; 127.0.0.2 and so on serve a second robot on the same machine."""
+    lock_step: bool = False
+    """A millisecond passes when the client has answered, not on the clock: what runs once, repeats bit by
+    bit."""
+    forgiving: bool = False
+    """Count lost packets, but do not stop the robot for 20 in a row."""
+    seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """Seed of sensor noise and dropped samples."""
+    log: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write what was true, from the first motion on, when the server ends: a recording, .npz."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from dashpot.commands.franka_server import franka_server
+
+        return franka_server(self)
+
+
 Command = (
     Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Certify, tyro.conf.subcommand("certify")]
@@ -639,6 +689,7 @@ Command = (
     | Annotated[Plot, tyro.conf.subcommand("plot")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Run, tyro.conf.subcommand("run")]
+    | Annotated[FrankaServer, tyro.conf.subcommand("franka-server")]
     | Annotated[Excite, tyro.conf.subcommand("excite")]
     | Annotated[Identify, tyro.conf.subcommand("identify")]
     | Annotated[Campaign, tyro.conf.subcommand("campaign")]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import ctypes
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
@@ -20,12 +21,12 @@ from dashpot.errors import DashpotError, InputError
 from dashpot.plant import Plant, with_payload, with_timestep
 from dashpot.recording import CHANNELS, Recording
 from dashpot.sampled import BLOCK_DTYPE, empty_block
-from dashpot.script import native_faults, tick_of
+from dashpot.script import Clock, native_faults, tick_of
 from dashpot.supervisor import STATES, decisions, native_guard
 from dashpot.thresholds import watch_records
 
 if TYPE_CHECKING:
-    from dashpot.simulate import Scenario
+    from dashpot.simulate import PayloadChange, Scenario
 
 EVENT_DTYPE = np.dtype([("tick", "i4"), ("joint", "i4"), ("kind", "i4"), ("value", "i4")])
 BEYOND = 0.1  # [rad] past the stops, which yield
@@ -33,7 +34,7 @@ _KINDS = {"mode": 0, "position_loop": 1, "warm_start": 2}
 
 
 @cache
-def _mj_step() -> int:
+def mj_step() -> int:
     """Address of ``mj_step`` in the library the mujoco package loaded."""
     folder = Path(mujoco.__file__).parent
     for path in sorted([*folder.glob("libmujoco*"), *folder.glob("mujoco.dll")]):
@@ -178,6 +179,42 @@ def check(scenario: Scenario) -> None:
     native_faults(scenario.faults, plant, controlled, scenario.trajectory, scenario.seed)
 
 
+def loads(
+    plant: Plant, changes: Sequence[PayloadChange], clock: Clock
+) -> tuple[list[tuple[int, Any]], Plant]:
+    """Ticks and models of changes of payload, in order, and the plant to start with, all at one time step.
+
+    Raises:
+        InputError: A change is outside the clock's ticks, or the arm cannot be simulated with that payload.
+    """
+    found = []
+    for change in changes:
+        tick = tick_of(change.time, clock, "payload change")
+        found.append((tick, with_payload(plant, change.payload, clock.period)))
+    found.sort(key=lambda change: change[0])
+    step = min([plant.timestep, *(loaded.timestep for _, loaded in found)])
+    if step < plant.timestep:
+        plant = with_timestep(plant, step)
+    models = []
+    for tick, loaded in found:
+        model = loaded.model
+        if model.opt.timestep != step:
+            model = copy.copy(model)
+            model.opt.timestep = step
+        models.append((tick, model))
+    return models, plant
+
+
+def carry(model: Any, before: Any) -> Any:
+    """MjData of another model of the same degrees of freedom, in the state of the one before."""
+    data = mujoco.MjData(model)
+    for name in ("qpos", "qvel", "qacc_warmstart"):
+        getattr(data, name)[:] = getattr(before, name)
+    data.time = before.time
+    mujoco.mj_forward(model, data)
+    return data
+
+
 class Loop:
     """One run of a scenario, which may be cut into pieces: `advance` goes on where it stopped.
 
@@ -206,7 +243,7 @@ class Loop:
         self.ticks, n = trajectory.position.shape
         self.tick = 0
         self.diverged: int | None = None
-        self._models, self._plant = self._loads()
+        self._models, self._plant = loads(scenario.plant, scenario.payload_changes, trajectory)
         plant, controller = self._plant, scenario.controller
         # A fresh native controller: scenarios that share one must not share its state.
         self._link, self.core = link, None
@@ -237,41 +274,13 @@ class Loop:
         self._record = np.full((len(CHANNELS), self.ticks, n), np.nan)
         self._status = np.zeros(self.ticks, np.int32)
 
-    def _loads(self) -> tuple[list[tuple[int, Any]], Plant]:
-        """Ticks and models of the changes of payload, and the plant to start with, all at one time step."""
-        scenario, plant = self.scenario, self.scenario.plant
-        changes = []
-        for change in scenario.payload_changes:
-            tick = tick_of(change.time, scenario.trajectory, "payload change")
-            changes.append((tick, with_payload(plant, change.payload, scenario.trajectory.period)))
-        changes.sort(key=lambda change: change[0])
-        step = min([plant.timestep, *(loaded.timestep for _, loaded in changes)])
-        if step < plant.timestep:
-            plant = with_timestep(plant, step)
-        models = []
-        for tick, loaded in changes:
-            model = loaded.model
-            if model.opt.timestep != step:
-                model = copy.copy(model)
-                model.opt.timestep = step
-            models.append((tick, model))
-        return models, plant
-
-    def _carry(self, model: Any) -> None:
-        """Goes on with another model of the same degrees of freedom, from the state as it is."""
-        data = mujoco.MjData(model)
-        for name in ("qpos", "qvel", "qacc_warmstart"):
-            getattr(data, name)[:] = getattr(self._data, name)
-        data.time = self._data.time
-        mujoco.mj_forward(model, data)
-        self._model, self._data = model, data
-
     def advance(self, until: int | None = None) -> None:
         """Runs up to a tick; None: to the end. Payloads change on the way; a divergence ends it for good."""
         until = self.ticks if until is None else min(until, self.ticks)
         while self.tick < until and self.diverged is None:
             while self._models and self._models[0][0] <= self.tick:
-                self._carry(self._models.pop(0)[1])
+                self._model = self._models.pop(0)[1]
+                self._data = carry(self._model, self._data)
             self._advance(min(until, self._models[0][0]) if self._models else until)
 
     def _advance(self, until: int) -> None:
@@ -280,7 +289,7 @@ class Loop:
             self.core,
             self._drives.view(np.uint8),
             self._events.view(np.uint8),
-            _mj_step(),
+            mj_step(),
             self._model._address,
             data._address,
             data.qpos,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from dashpot.faults import (
     short_corner,
 )
 from dashpot.plant import Plant
-from dashpot.trajectory import Trajectory
 
 FAULT_DTYPE = np.dtype(
     [
@@ -37,16 +37,33 @@ MOST_DAMPING = 0.5  # of a rotor's inertia over the physics step: beyond, an exp
 FOREVER = 2**31 - 1
 
 
-def tick_of(time: float, trajectory: Trajectory, quantity: str, joint: str | None = None) -> int:
+class Clock(Protocol):
+    """What times are given on: a trajectory, or the time a robot is on."""
+
+    @property
+    def start(self) -> float:
+        """Time of the first tick [s]."""
+
+    @property
+    def period(self) -> float:
+        """From one tick to the next [s]."""
+
+    @property
+    def ticks(self) -> int:
+        """How many there are."""
+
+
+def tick_of(time: float, clock: Clock, quantity: str, joint: str | None = None) -> int:
     """The tick nearest to a time [s].
 
     Raises:
-        InputError: It is not within the trajectory.
+        InputError: It is not within the clock's ticks.
     """
-    tick = (time - trajectory.start) / trajectory.period
-    if not -0.5 <= tick < len(trajectory.position) - 0.5:  # also catches NaN
+    tick = (time - clock.start) / clock.period
+    if not -0.5 <= tick < clock.ticks - 0.5:  # also catches NaN
+        last = clock.start + clock.period * (clock.ticks - 1)
         raise InputError(
-            f"outside the trajectory, {trajectory.time[0]:g} to {trajectory.time[-1]:g} s",
+            f"outside the trajectory, {clock.start:g} to {last:g} s",
             joint=joint,
             quantity=f"{quantity} [s]",
             value=time,
@@ -55,7 +72,7 @@ def tick_of(time: float, trajectory: Trajectory, quantity: str, joint: str | Non
 
 
 def native_faults(
-    faults: Sequence[Fault], plant: Plant, controlled: Sequence[str], trajectory: Trajectory, seed: int
+    faults: Sequence[Fault], plant: Plant, controlled: Sequence[str], clock: Clock, seed: int
 ) -> _native.Faults:
     """The script of one run.
 
@@ -63,7 +80,7 @@ def native_faults(
         faults: In any order.
         plant: The arm, with the time step it runs at.
         controlled: Joints whose signals a controller sees; the robot's own servos read healthy ones.
-        trajectory: Gives the clock.
+        clock: Of the faults' times.
         seed: Of the samples that are dropped.
 
     Raises:
@@ -71,7 +88,7 @@ def native_faults(
     """
     if FAULT_DTYPE.itemsize != _native.FAULT_SIZE:
         raise RuntimeError("the native library was built from another version; reinstall dashpot")
-    rows = [row for fault in faults for row in _rows(fault, plant, controlled, trajectory)]
+    rows = [row for fault in faults for row in _rows(fault, plant, controlled, clock)]
     if len(rows) > _native.MAX_FAULTS:
         raise InputError(
             f"at most {_native.MAX_FAULTS}, counting each joint", quantity="faults", value=len(rows)
@@ -92,7 +109,7 @@ def native_faults(
 
 
 def _rows(
-    fault: Fault, plant: Plant, controlled: Sequence[str], trajectory: Trajectory
+    fault: Fault, plant: Plant, controlled: Sequence[str], clock: Clock
 ) -> list[tuple[int, int, int, int, float, float]]:
     kind, robot = KINDS[fault.kind], plant.robot
     joint = None if fault.joint == "all" else fault.joint
@@ -111,11 +128,11 @@ def _rows(
         joints = robot.joints[:1]
     else:
         joints = robot.joints if joint is None else (joint,)
-    first = tick_of(fault.start, trajectory, f"{fault.kind} start", joint)
+    first = tick_of(fault.start, clock, f"{fault.kind} start", joint)
     last = FOREVER
     if not math.isinf(fault.end):
         # Beyond the trajectory is no mistake; a fault shorter than a tick lasts one.
-        last = min(FOREVER, max(first + 1, round((fault.end - trajectory.start) / trajectory.period)))
+        last = min(FOREVER, max(first + 1, round((fault.end - clock.start) / clock.period)))
     rows = []
     for name in joints:
         j = robot.index(name)

@@ -33,6 +33,11 @@ class Trajectory:
     torque: Floats | None = None
 
     @property
+    def ticks(self) -> int:
+        """How many control ticks it has."""
+        return len(self.position)
+
+    @property
     def time(self) -> Floats:
         """(ticks,) [s]."""
         return self.start + self.period * np.arange(len(self.position), dtype=np.float64)

@@ -22,7 +22,7 @@ from dashpot.controller import Controller, ControllerConfig, load_controller
 from dashpot.drive import Drive
 from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.checks import Verdicts, at_rest, before_link, listen
-from dashpot.hardware.interface import Hardware
+from dashpot.hardware.interface import Hardware, carries_weight
 from dashpot.hardware.realtime import undisturbed
 from dashpot.hardware.ring import Ring
 from dashpot.hardware.runtime import LoopSettings, Outcome, Start, control, joint_order, said
@@ -31,7 +31,9 @@ from dashpot.motionfile import read_motion
 from dashpot.payload import Payload
 from dashpot.release import tracking_events
 from dashpot.rivals.gravity import with_feedforward
+from dashpot.rivals.tracking import PDGravity
 from dashpot.robot import Robot
+from dashpot.sampled import Floats
 from dashpot.simulate import Scenario
 from dashpot.supervisor import Supervisor
 from dashpot.trajectory import Trajectory, hold
@@ -106,6 +108,7 @@ def run(options: Run) -> int:
         return 1
     with _connected(options, job) as (hardware, start):
         joint_order(hardware, job.controller)
+        _refuse_gravity_twice(hardware, job.config)
         # Without a clock a sample more is another run: what the sensors say is looked at with --check only.
         if options.check or not options.lock_step:
             with undisturbed(0 if options.lock_step else options.priority, options.cpu):
@@ -114,7 +117,7 @@ def run(options: Run) -> int:
             if job.plant is not None:
                 where = np.array(job.robot.home)
                 where[job.columns] = heard.position.mean(0)
-                load = job.plant.load_torque(where)[job.columns] if np.isfinite(where).all() else None
+                load = _load(job, job.plant, hardware, where) if np.isfinite(where).all() else None
             # A simulated arm rests where its motion begins, sag included.
             path = None if options.via == "sim" else job.motion
             about: dict[str, Any] = {"path": path, "ranges": job.ranges, "load": load}
@@ -129,6 +132,25 @@ def run(options: Run) -> int:
     if outcome.end == "stopped":
         return 128 + (outcome.signal or signal.SIGINT)
     return 0 if outcome.end == "done" else 1
+
+
+def _load(job: Job, plant: Plant, hardware: Hardware, where: Floats) -> Floats:
+    """Torque of gravity that the sensors show at a pose (n,) [rad], per controlled joint [N m]."""
+    from dashpot.plant import build
+
+    load = plant.load_torque(where)
+    if carries_weight(hardware):
+        load -= build(job.robot, job.config.period).load_torque(where)
+    return np.asarray(load[job.columns])
+
+
+def _refuse_gravity_twice(hardware: Hardware, config: ControllerConfig) -> None:
+    """Checks that the controller does not add the weight of an arm that carries it itself."""
+    for law in config.joints:
+        if carries_weight(hardware) and isinstance(law, PDGravity):
+            raise InputError(
+                "adds gravity, which this robot does itself", file=config.file, joint=law.name, quantity="law"
+            )
 
 
 def _run(options: Run, job: Job, hardware: Hardware, start: Start | None) -> Outcome:

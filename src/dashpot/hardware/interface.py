@@ -117,3 +117,12 @@ class Hardware(Protocol):
 
     def stop(self) -> None:
         """Ends the motion: motors off. May be called at any time, more than once, and never raises."""
+
+
+def carries_weight(hardware: Hardware) -> bool:
+    """Whether a robot adds gravity to the torques it is sent, as its attribute ``carries_weight`` says.
+
+    Samples, torques in effect and commands then come without what the robot adds: the drive's balance
+    ``u = m q'' + v q' + f + tau_s`` holds for the torque that is commanded.
+    """
+    return bool(getattr(hardware, "carries_weight", False))

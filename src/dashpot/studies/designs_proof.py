@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dashpot.certify.certificate import certify_joint
 from dashpot.certify.threads import one_thread
@@ -156,12 +157,12 @@ def refute(given: Inequalities, bounds: Bounds, *, sprung: bool, most: int = MOS
     return found | {"refuted_by": {**by, "passivity_hz": by_passivity}}
 
 
-def _halves(cones: Floats, scale: Floats, whole: Any) -> tuple[Floats, Floats]:
+def _halves(cones: Floats, scale: Floats, whole: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """Cones (k, 5, 5) cut across their longest edge, but for those that are to stay whole."""
     one, other = cones.copy(), cones.copy()
     apart = cones / scale
-    lengths = np.linalg.norm(apart[:, :, None] - apart[:, None], axis=-1).reshape(len(cones), -1)
-    i, j = np.divmod(lengths.argmax(1), cones.shape[1])
+    lengths = np.linalg.norm(apart[:, :, None] - apart[:, None], axis=-1).reshape(-1, 25)
+    i, j = np.divmod(lengths.argmax(1), 5)
     which = np.flatnonzero(~whole)
     middle = (cones[which, i[which]] + cones[which, j[which]]) / 2
     one[which, i[which]], other[which, j[which]] = middle, middle

@@ -94,15 +94,23 @@ def test_the_limit_at_no_frequency(case, gains):
     assert limit == pytest.approx((4 * first - second) / 3, abs=1e-6 * (1 + abs(first) + p[0] @ p[0]))
 
 
-@settings(max_examples=40, deadline=None)
-@given(some_gains())
-def test_where_the_linear_form_fails_the_free_rotor_grows(case, gains):
+def test_where_the_linear_form_fails_the_free_rotor_grows(case):
     duty, _, corner = case
-    p, kappa = coordinates(duty, gains)
-    interval = None if gains.K[0] == 0 else np.array([[kappa[0], kappa[0]]])
-    if unstable(Inequalities.of(corner), np.repeat(p[None], 5, 1), interval)[0]:
-        link = np.array([1e-5 * corner.m])
-        assert radii(joint_of(duty, corner, gains), link, 0 * link)[0] > 1
+    inequalities = Inequalities.of(corner)
+    rng = np.random.default_rng(0)
+    grew = []
+    for sprung in (False, True) * 60:
+        low, high = np.log([[0.05, 0.3, 0.1, 1, 1], [200, 1e3, 300, 3e3, 3e3]])
+        values = np.exp(rng.uniform(low, high))
+        gains = Gains(*(np.array([value]) for value in values * [1, 1, sprung, 1, 1]))
+        p, kappa = coordinates(duty, gains)
+        if unstable(inequalities, np.repeat(p[None], 5, 1), np.array([[kappa[0]] * 2]) if sprung else None)[
+            0
+        ]:
+            link = np.array([1e-5 * corner.m])
+            assert radii(joint_of(duty, corner, gains), link, 0 * link)[0] > 1
+            grew.append(sprung)
+    assert 10 < sum(grew) < len(grew) - 10
 
 
 @settings(max_examples=40, deadline=None)

@@ -44,7 +44,9 @@ ONE, X, MU, KP, KD = range(5)
 ALIASES = np.arange(-12, 13)
 SHARES = (*np.geomspace(3e-3, 0.06, 10), *np.linspace(0.08, 0.998, 40))  # of half the sample rate
 BEYOND = (-1.02, -1.05, -1.1, -1.2, -1.35, -1.5, -1.75, -2.0, -2.5, -3.0, -4.0, -6.0, -10.0, -20.0)  # real z
-AROUND = 2.0 * np.exp(2j * np.pi * (np.arange(32) + 0.5) / 32)  # [rad/s], a circle inside all poles
+AROUND = np.asarray(
+    2 * np.exp(2j * np.pi * (np.arange(32) + 0.5) / 32), np.complex128
+)  # [rad/s], a circle inside all poles
 SLACK = 1e-9  # by how much an inequality must fail, relative to its terms: covers rounding
 
 
@@ -139,7 +141,7 @@ class Inequalities:
             beyond: Real z of (2).
         """
         omega = np.asarray(shares) * np.pi / corner.period
-        row, _, G = _form(corner, omega + 0j)
+        row, _, G = _form(corner, np.asarray(omega, np.complex128))
         # The form is analytic and even in the frequency: its limit is its mean over a circle around zero.
         there, back, H = _form(corner, AROUND)
         outer = np.einsum("fi,fj->ij", there, back) / len(AROUND)
@@ -180,7 +182,7 @@ def _form(corner: Corner, omega: Complex) -> tuple[Complex, Complex, Complex]:
         row[:, MU] = corner.trapezoidal(z)
         row[:, KP] += corner.position * theta
         row[:, KD] += corner.position * speed_at_tick
-        return row, L, best, d + 0j
+        return row, L, best, np.asarray(d, np.complex128)
 
     row, L, best, d = half(omega, ALIASES)
     back, M, other, _ = half(-omega, -ALIASES)

@@ -40,7 +40,7 @@ evidence-identify: $(VENV)/.installed
 
 # About twenty minutes: 150 designs simulated, 1,200,000 other gains looked at, three arms against hand-picked gains.
 evidence-design: $(VENV)/.installed
-	for part in predictions brute arms; do \
+	for part in predictions brute arms proof; do \
 	  $(BIN)/python -m dashpot.studies.designs $$part > docs/evidence/design-$$part.json.part && \
 	  mv docs/evidence/design-$$part.json.part docs/evidence/design-$$part.json || exit 1; \
 	done

@@ -1,8 +1,9 @@
 """Evidence for `dashpot design`: are its predictions true, and is there nothing better?
 
-Three parts, each printed as JSON: "predictions": random drives under every preset, each result simulated;
+Four parts, each printed as JSON: "predictions": random drives under every preset, each result simulated;
 "brute": designs against 100,000 points of a low-discrepancy sequence; "arms": the bundled arms against the
-hand-picked gains of their bundled controllers (`dashpot.studies.designs_arms`).
+hand-picked gains of their bundled controllers (`dashpot.studies.designs_arms`); "proof": that the one design
+that was refused does not exist (`dashpot.studies.designs_proof`).
 """
 
 from __future__ import annotations
@@ -188,7 +189,7 @@ def searches(points: int, pool: ProcessPoolExecutor) -> dict[str, Any]:
 
 
 def main() -> None:
-    """``python -m dashpot.studies.designs predictions|brute|arms [SEED [DRIVES]]``."""
+    """``python -m dashpot.studies.designs predictions|brute|arms|proof [SEED [DRIVES]]``."""
     part, *numbers = sys.argv[1:]
     seed, drives = (int(n) for n in (*numbers, *("0", str(DRIVES))[len(numbers) :]))
     start = time.perf_counter()
@@ -197,6 +198,10 @@ def main() -> None:
         from dashpot.studies.designs_arms import arms
 
         result["arms"] = arms()
+    elif part == "proof":
+        from dashpot.studies.designs_proof import proof
+
+        result |= proof()
     else:
         with ProcessPoolExecutor(cores(), get_context("spawn")) as pool:
             if part == "predictions":

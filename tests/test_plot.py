@@ -57,7 +57,7 @@ def test_overview_and_a_picture_per_joint(tmp_path, capsys, monkeypatch):
     example(tmp_path / "log.mcap", joints=("shoulder", "joint $2$_[x]"), t=100)
     status, out, err = dashpot(capsys, monkeypatch, tmp_path, "plot", "log.mcap")
     assert (status, err) == (0, "")
-    assert sorted(p.name for p in (tmp_path / "out/plot").iterdir()) == [
+    assert sorted(p.name for p in (tmp_path / "out/plot").glob("*.png")) == [
         "joint_2_x_.png",
         "overview.png",
         "shoulder.png",
@@ -169,8 +169,8 @@ def test_the_gravest_messages_get_the_letters():
     assert [event.letter for event in kept] == list("ABCDEFGHIJKLMNOP")
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 30_000), st.integers(2, 500), st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 3000), st.integers(2, 200), st.integers(0, 2**32 - 1))
 def test_thinning_keeps_extremes_order_and_gaps(t, points, seed):
     rng = np.random.default_rng(seed)
     values = rng.normal(size=t)

@@ -10,6 +10,8 @@ from string import ascii_uppercase
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from dashpot.logfiles.messages import Level
@@ -215,8 +217,6 @@ def _lines(
 
 
 def _handle(line: _Line) -> Any:
-    from matplotlib.lines import Line2D
-
     return Line2D([], [], color=line.colour, ls=line.dash, lw=1.6, label=line.label)
 
 
@@ -319,19 +319,13 @@ def _tint(axes: Sequence[Any], samples: Samples) -> list[Patch]:
                 series.time[first], stop, fc="none", ec=colour, alpha=0.25, hatch=hatch, lw=0, zorder=0
             )
         patches[int(state[first])] = Patch(
-            facecolor=(*_rgb(colour), 0.2),
-            edgecolor=(*_rgb(colour), 0.6),
+            facecolor=(*to_rgb(colour), 0.2),
+            edgecolor=(*to_rgb(colour), 0.6),
             hatch=hatch,
             lw=0,
             label=f"supervisor: {STATES[state[first]].replace('_', ' ')}",
         )
     return [patches[key] for key in sorted(patches)]
-
-
-def _rgb(colour: str) -> tuple[float, float, float]:
-    from matplotlib.colors import to_rgb
-
-    return to_rgb(colour)
 
 
 def _letters(axis: Any, events: Sequence[Event], start: float, end: float) -> None:

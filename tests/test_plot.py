@@ -58,7 +58,7 @@ def test_overview_and_a_picture_per_joint(tmp_path, capsys, monkeypatch):
     status, out, err = dashpot(capsys, monkeypatch, tmp_path, "plot", "log.mcap")
     assert (status, err) == (0, "")
     assert sorted(p.name for p in (tmp_path / "out/plot").glob("*.png")) == [
-        "joint_2_x_.png",
+        "joint_2___x_.png",
         "overview.png",
         "shoulder.png",
     ]

@@ -34,7 +34,7 @@ from dashpot.supervisor import STATES
 DEGREES = 180 / math.pi
 POINTS = 3000  # drawn of a line: the largest and smallest of every stretch
 MOST = 16  # events with a letter
-PER_INCH, LINE = 11.5, 0.165  # characters of the small print; its lines [in]
+PER_INCH, LINE = 14.0, 0.165  # characters of the small print; its lines [in]
 COLOURS = (BLUE, VERMILLION, GREEN, BLACK, ORANGE, PURPLE, SKY)
 DASHES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (2, 1.2)), (0, (6, 1.5, 1, 1.5)))
 LEVEL_COLOUR: dict[Level, str] = {"info": GREY, "warning": ORANGE, "error": VERMILLION}

@@ -40,9 +40,10 @@ def example(path, columns=COLUMNS, joints=("shoulder", "joint $2$_[x]", "j3"), t
 
 def dashpot(capsys, monkeypatch, tmp_path, *words):
     monkeypatch.chdir(tmp_path)
-    status = main([*map(str, words)])
+    with pytest.raises(SystemExit) as ended:
+        main([*map(str, words)])
     out = capsys.readouterr()
-    return status, out.out, out.err
+    return ended.value.code, out.out, out.err
 
 
 def test_every_column_of_a_log_of_ours_is_read(tmp_path):
@@ -53,17 +54,16 @@ def test_every_column_of_a_log_of_ours_is_read(tmp_path):
 
 
 def test_overview_and_a_picture_per_joint(tmp_path, capsys, monkeypatch):
-    example(tmp_path / "log.mcap")
+    example(tmp_path / "log.mcap", joints=("shoulder", "joint $2$_[x]"), t=100)
     status, out, err = dashpot(capsys, monkeypatch, tmp_path, "plot", "log.mcap")
     assert (status, err) == (0, "")
-    assert sorted(p.name for p in (tmp_path / "out/plot").iterdir()) == [
-        "j3.png",
-        "joint_2_x_.png",
+    assert sorted(p.name for p in (tmp_path / "out/plot").glob("*.png")) == [
+        "joint_2___x_.png",
         "overview.png",
         "shoulder.png",
     ]
     assert matplotlib.image.imread(tmp_path / "out/plot/overview.png").std() > 0.05
-    for said in ("log.mcap: 0 to 0.399 s, 1000 Hz", "What happened", "open out/plot/overview.png"):
+    for said in ("log.mcap: 0 to 0.099 s, 1000 Hz", "What happened", "open out/plot/overview.png"):
         assert said in out
 
 
@@ -131,11 +131,17 @@ def test_refusals_are_one_line(tmp_path, capsys, monkeypatch, words, said):
 
 
 def texts(figure):
-    return [text for text in figure.findobj(plt.Text) if text.get_visible() and text.get_text().strip()]
+    """All but the labels of ticks, of which matplotlib keeps some that it does not draw."""
+    found = [*figure.texts]
+    legends = [*figure.legends, *(axis.get_legend() for axis in figure.axes if axis.get_legend())]
+    for legend in legends:
+        found += [legend.get_title(), *legend.get_texts()]
+    for axis in figure.axes:
+        found += [axis.xaxis.label, axis.yaxis.label, axis.title, *axis.texts]
+    return [text for text in found if text.get_visible() and text.get_text().strip()]
 
 
-@pytest.mark.parametrize("events", [0, 4, 30])
-@pytest.mark.parametrize("count", [1, 7, 12])
+@pytest.mark.parametrize(("count", "events"), [(1, 0), (7, 4), (12, 30)])
 def test_no_text_is_clipped_and_no_legend_covers_another(tmp_path, events, count):
     joints = tuple(f"panda_joint{i + 1}" for i in range(count))
     samples = read_samples(example(tmp_path / "log.mcap", joints=joints, events=events))
@@ -145,16 +151,12 @@ def test_no_text_is_clipped_and_no_legend_covers_another(tmp_path, events, count
         page = figure.bbox.padded(0.5)
         for text in texts(figure):
             box = text.get_window_extent(renderer)
-            if box.width and text.axes is None:
-                assert page.x0 <= box.x0 <= box.x1 <= page.x1, text.get_text()
-                assert page.y0 <= box.y0 <= box.y1 <= page.y1, text.get_text()
+            assert page.x0 <= box.x0 <= box.x1 <= page.x1, text.get_text()
+            assert page.y0 <= box.y0 <= box.y1 <= page.y1, text.get_text()
         axes = [axis.get_window_extent(renderer) for axis in figure.axes]
         for legend in figure.legends:
             box = legend.get_window_extent(renderer)
             assert not any(box.overlaps(axis) for axis in axes)
-        for axis in figure.axes:
-            if axis.get_legend() is not None and len(figure.axes) == 5:
-                assert axis.get_legend().get_window_extent(renderer).x1 <= page.x1
         plt.close(figure)
 
 
@@ -167,15 +169,15 @@ def test_the_gravest_messages_get_the_letters():
     assert [event.letter for event in kept] == list("ABCDEFGHIJKLMNOP")
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 30_000), st.integers(2, 500), st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 3000), st.integers(2, 200), st.integers(0, 2**32 - 1))
 def test_thinning_keeps_extremes_order_and_gaps(t, points, seed):
     rng = np.random.default_rng(seed)
     values = rng.normal(size=t)
     values[rng.random(t) < 0.1] = np.nan
     time = np.arange(t) * 0.5
     x, y = thin(time, values, points)
-    assert len(x) == len(y) <= 4 * points + 2
+    assert len(x) == len(y) <= 2 * points + 2
     assert (np.diff(x) > 0).all()
     np.testing.assert_array_equal(y, values[(x / 0.5).astype(int)])
     if np.isfinite(values).any():

@@ -92,7 +92,8 @@ class Simulate:
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/simulate")
     """Folder for recording.npz and simulate.png; replaced as a whole."""
     log: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Also write what the robot would have logged, for dashpot identify: .csv, .parquet or .mcap."""
+    """Also write what the robot would have logged, for dashpot identify and plot: .csv, .parquet, or .mcap,
+    which also holds the controller's states, energy and what happened."""
 
     def run(self) -> int:
         """Runs the command."""

@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
-from dashpot.commands.plot_draw import draw_joint, draw_overview, lettered
+from dashpot.commands.plot_draw import draw_joint, draw_overview, error_of, lettered
 from dashpot.commands.shared import bare_table, check_place, file_names, new_table
 from dashpot.logfiles import Topics
 from dashpot.logfiles.samples import Samples, read_samples
@@ -48,7 +48,8 @@ def _show(samples: Samples, options: Plot) -> None:
     for name in ("torque [N m]", "command [N m]", "error [deg]", "speed [deg/s]"):
         table.add_column(escape(name), justify="right", no_wrap=True)
     torque, command, speed = (_column(samples, name) for name in ("torque", "command", "velocity"))
-    error = tracking_error(samples)
+    found = error_of(samples)
+    error = None if found is None else found.values
     for j, joint in enumerate(samples.joints):
         table.add_row(
             escape(joint),
@@ -80,14 +81,6 @@ def _show(samples: Samples, options: Plot) -> None:
 
 def _column(samples: Samples, name: str) -> Floats | None:
     return samples.series[name].values if name in samples.series else None
-
-
-def tracking_error(samples: Samples) -> Floats | None:
-    """Reference minus measured angle, (t, n) [deg], or None where the log has no reference."""
-    from dashpot.commands.plot_draw import error_of
-
-    found = error_of(samples)
-    return None if found is None else found.values
 
 
 def _largest(values: Floats | None, j: int, form: str, scale: float = 1.0) -> str:

@@ -10,6 +10,8 @@ from string import ascii_uppercase
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from dashpot.logfiles.messages import Level
@@ -32,6 +34,7 @@ from dashpot.supervisor import STATES
 DEGREES = 180 / math.pi
 POINTS = 3000  # drawn of a line: the largest and smallest of every stretch
 MOST = 16  # events with a letter
+PER_INCH, LINE = 14.0, 0.165  # characters of the small print; its lines [in]
 COLOURS = (BLUE, VERMILLION, GREEN, BLACK, ORANGE, PURPLE, SKY)
 DASHES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (2, 1.2)), (0, (6, 1.5, 1, 1.5)))
 LEVEL_COLOUR: dict[Level, str] = {"info": GREY, "warning": ORANGE, "error": VERMILLION}
@@ -119,7 +122,8 @@ def draw_joint(samples: Samples, joint: str) -> Figure:
     panels.append(("speed [deg/s]", _lines(samples, j, speed, DEGREES)))
     panels += [("stored [J]", _lines(samples, j, STORED)), ("work [J]", _lines(samples, j, WORK))]
     panels = [(label, lines) for label, lines in panels if lines]
-    figure, axes = new_figure(len(panels), 1, 9.0, 1.0 + 1.75 * len(panels), sharex=True)
+    height = 1.0 + 1.75 * len(panels) + LINE * len(_said(samples, round(PER_INCH * 9.0)))
+    figure, axes = new_figure(len(panels), 1, 9.0, height, sharex=True)
     for axis, (label, lines) in zip(axes[:, 0], panels, strict=True):
         _panel(axis, label, lines)
         axis.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), fontsize=8.5, handlelength=2.6)
@@ -154,7 +158,9 @@ def draw_overview(samples: Samples) -> Figure:
     energy = [(label, lines) for label, named in ARM if (lines := _sums(samples, named))]
     columns = 1 if len(panels) + len(energy) < 4 else 2
     rows = math.ceil((len(panels) + len(energy)) / columns)
-    figure, axes = new_figure(rows, columns, 5.6 * columns + 1.4, 1.3 + 2.35 * rows, sharex=True)
+    width = 5.6 * columns + 1.4
+    height = 1.3 + 2.35 * rows + LINE * len(_said(samples, round(PER_INCH * width)))
+    figure, axes = new_figure(rows, columns, width, height, sharex=True)
     places = [axes[i % rows, i // rows] for i in range(rows * columns)]
     for axis, (label, lines) in zip(places, panels, strict=False):
         _panel(axis, label, lines)
@@ -211,8 +217,6 @@ def _lines(
 
 
 def _handle(line: _Line) -> Any:
-    from matplotlib.lines import Line2D
-
     return Line2D([], [], color=line.colour, ls=line.dash, lw=1.6, label=line.label)
 
 
@@ -236,12 +240,10 @@ def thin(time: Floats, values: Floats, points: int = POINTS) -> tuple[Floats, Fl
     if len(time) <= 2 * points:
         return time, values
     width = math.ceil(2 * len(time) / points)
-    whole = len(time) // width * width
-    rows = values[:whole].reshape(-1, width)
+    rows = np.pad(values, (0, -len(values) % width), constant_values=np.nan).reshape(-1, width)
     low = np.where(np.isnan(rows), np.inf, rows).argmin(1)
     high = np.where(np.isnan(rows), -np.inf, rows).argmax(1)
-    pick = np.sort(np.stack([low, high], 1), axis=1) + width * np.arange(len(rows))[:, None]
-    index = np.unique(np.concatenate([pick.ravel(), np.arange(whole, len(time))]))
+    index = np.unique(np.stack([low, high], 1) + width * np.arange(len(rows))[:, None])
     return time[index], values[index]
 
 
@@ -255,9 +257,9 @@ def _finish(
     all_axes: Sequence[Any] | None = None,
 ) -> None:
     """Events, the supervisor's state, the title, and what the letters mean."""
-    events = lettered(samples)
-    axes = list(top.ravel()) if below is not None else list(all_axes or ())
     start, end = samples.span
+    events = [event for event in lettered(samples) if start <= event.time <= end]
+    axes = list(top.ravel()) if below is not None else list(all_axes or ())
     for axis in axes:
         axis.set_xlim(start - 0.01 * (end - start), end + 0.01 * (end - start))
         for event in events:
@@ -269,12 +271,7 @@ def _finish(
         below.set_xlabel("time [s]")
     said = figure.suptitle(title, fontweight="bold")
     said.set_parse_math(False)
-    lines = []
-    for event in events:
-        text = f"{event.letter}  {event.time:.3f} s  {event.text}"
-        lines += textwrap.wrap(text, 110, subsequent_indent="     ")
-    if len(samples.happenings) > len(events):
-        lines.append(f"and {len(samples.happenings) - len(events)} more")
+    lines = _said(samples, round(PER_INCH * figure.get_figwidth()))
     if lines or tints:
         handles: list[Any] = [*tints]
         legend = figure.legend(
@@ -288,6 +285,18 @@ def _finish(
             alignment="left",
         )
         legend.get_title().set_parse_math(False)
+
+
+def _said(samples: Samples, width: int) -> list[str]:
+    """What the letters mean, in lines of at most ``width`` characters."""
+    events = lettered(samples)
+    lines = []
+    for event in events:
+        text = f"{event.letter}  {event.time:.3f} s  {textwrap.shorten(event.text, 2 * width - 30)}"
+        lines += textwrap.wrap(text, width, subsequent_indent="     ")
+    if len(samples.happenings) > len(events):
+        lines.append(f"and {len(samples.happenings) - len(events)} more")
+    return lines
 
 
 def _tint(axes: Sequence[Any], samples: Samples) -> list[Patch]:
@@ -310,19 +319,13 @@ def _tint(axes: Sequence[Any], samples: Samples) -> list[Patch]:
                 series.time[first], stop, fc="none", ec=colour, alpha=0.25, hatch=hatch, lw=0, zorder=0
             )
         patches[int(state[first])] = Patch(
-            facecolor=(*_rgb(colour), 0.2),
-            edgecolor=(*_rgb(colour), 0.6),
+            facecolor=(*to_rgb(colour), 0.2),
+            edgecolor=(*to_rgb(colour), 0.6),
             hatch=hatch,
             lw=0,
             label=f"supervisor: {STATES[state[first]].replace('_', ' ')}",
         )
     return [patches[key] for key in sorted(patches)]
-
-
-def _rgb(colour: str) -> tuple[float, float, float]:
-    from matplotlib.colors import to_rgb
-
-    return to_rgb(colour)
 
 
 def _letters(axis: Any, events: Sequence[Event], start: float, end: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +70,10 @@ def write_run(
         segment.torque, segment.position, segment.velocity, in_effect, states, acting
     )
     start = float(recording.time[0])
-    metadata = {key: str(value) for key, value in recording.settings.items()}
+    metadata = {
+        key: value if isinstance(value, str) else json.dumps(value)
+        for key, value in recording.settings.items()
+    }
     metadata |= {"sampling": log.sampling, START: repr(start)}
     with (
         replaced(path) as temporary,

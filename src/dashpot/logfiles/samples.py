@@ -174,7 +174,8 @@ def _of_table(path: Path, raw: Raw) -> Samples:
                 if (joint, quantity) in source.values:
                     values[:, j] = source.values[joint, quantity]
             there = ~np.isnan(values).all(1)  # a table may have rows of several topics
-            series[LEARNT.get(quantity, quantity)] = Series(source.time[there], values[there])
+            if there.any():
+                series[LEARNT.get(quantity, quantity)] = Series(source.time[there], values[there])
     return Samples(joints, series, (), path)
 
 

@@ -200,7 +200,8 @@ def _variables_2(variables: XML.Element, export: Export) -> Iterator[int]:
 
 def _role(group: Group) -> dict[str, str]:
     if group.start is not None:
-        return {"causality": "input", "variability": "discrete"}
+        # Sampled at the ticks; yet "continuous", so that any continuous output may be connected.
+        return {"causality": "input", "variability": "continuous" if group.kind == "Float64" else "discrete"}
     return {"causality": "output", "variability": "discrete", "initial": "calculated"}
 
 

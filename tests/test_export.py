@@ -1,4 +1,4 @@
-"""Exported C: equal to the controller in Python to the bit, under every warning and sanitizer, whatever it is fed."""
+"""Exported C: equal to the controller in Python to the bit, under sanitizers, whatever it is fed."""
 
 import re
 import shutil
@@ -43,7 +43,13 @@ from dashpot.studies.export_cases import (
 )
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
-JOINT = {"rotor_inertia": 0.05, "viscous_friction": 0.6, "stiffness": 6e3, "damping": 0.7, "torque_limit": 40.0}
+JOINT = {
+    "rotor_inertia": 0.05,
+    "viscous_friction": 0.6,
+    "stiffness": 6e3,
+    "damping": 0.7,
+    "torque_limit": 40.0,
+}
 
 
 def one_joint(name="joint1", **changes):
@@ -63,7 +69,9 @@ def random_arm():
         drives.append(Drive(name=f"j{i}", **values, **rate))
         R, D, K, kp, kd = 10 ** rng.uniform([-0.5, 0, -1, 0, -1], [1, 1.5, 2, 3, 1.5])
         laws.append(JointGains(name=f"j{i}", R=R, D=D, K=K * (i % 3 > 0), kp=kp, kd=kd))
-    config = ControllerConfig(joints=tuple(laws), period=0.002, latency=2, form="explicit" if rng.random() < 0.5 else "implicit")
+    config = ControllerConfig(
+        joints=tuple(laws), period=0.002, latency=2, form="explicit" if rng.random() < 0.5 else "implicit"
+    )
     return Export("random", Robot("random", tuple(drives)), config)
 
 
@@ -78,7 +86,14 @@ def random_arm():
         *((lambda names=names: bundled(*names), 5_000) for names in BUNDLED),
         (lambda: bundled("iiwa14", "iiwa14", supervised=True), 8_000),
     ],
-    ids=["laws", "latest", "laws-supervised", "random", *(names[1] for names in BUNDLED), "iiwa14-supervised"],
+    ids=[
+        "laws",
+        "latest",
+        "laws-supervised",
+        "random",
+        *(names[1] for names in BUNDLED),
+        "iiwa14-supervised",
+    ],
 )
 def test_equal_to_python(export, ticks, tmp_path):
     export = export()
@@ -101,7 +116,11 @@ def test_every_law_is_exported():
 
 @pytest.mark.parametrize("supervised", [False, True])
 def test_sanitizers_find_nothing(supervised, tmp_path):
-    export = all_laws(3, supervised=supervised) if not supervised else bundled("k807", "k807-wrist", supervised=True)
+    export = (
+        all_laws(3, supervised=supervised)
+        if not supervised
+        else bundled("k807", "k807-wrist", supervised=True)
+    )
     rows = script(export, 3_000, seed=2)
     found = compiled(build(export, tmp_path, ("-O0", *SANITIZED)), export, rows)
     assert found is not None
@@ -148,13 +167,14 @@ def test_check_notices_one_bit(tmp_path):
 
 
 def test_two_exports_in_one_program_and_in_cpp(tmp_path):
-    """Names do not clash, nothing but memory functions is needed, nothing is variable, and C++ reads the headers."""
+    """No clash of names, no library but memory functions, no variables; C++ reads the headers."""
     elf = pytest.importorskip("elftools.elf.elffile", reason="needs pyelftools: pip install 'dashpot[test]'")
     first, second = bundled("k807", "k807-wrist", supervised=True), bundled("fr3", "fr3", supervised=True)
     for export in (first, second):
         write_sources(export, tmp_path)
     calls = "".join(
-        f"{{ static {n}_controller c; static {n}_supervisor s; bad |= {n}_check(&c) | {n}_supervisor_check(&s, &c);\n"
+        f"{{ static {n}_controller c; static {n}_supervisor s;\n"
+        f"  bad |= {n}_check(&c) | {n}_supervisor_check(&s, &c);\n"
         f"  bad |= sizeof c != {size}; }}\n"
         for n, size in ((e.name, e.state_bytes) for e in (first, second))
     )
@@ -175,7 +195,11 @@ def test_two_exports_in_one_program_and_in_cpp(tmp_path):
             symbols = list(read.get_section_by_name(".symtab").iter_symbols())
             needed = {s.name for s in symbols if s["st_shndx"] == "SHN_UNDEF" and s.name}
             assert needed <= {"memset", "memcpy", "memmove", "memcmp", "_GLOBAL_OFFSET_TABLE_"}
-            public = [s.name for s in symbols if s["st_info"]["bind"] == "STB_GLOBAL" and s["st_shndx"] != "SHN_UNDEF"]
+            public = [
+                s.name
+                for s in symbols
+                if s["st_info"]["bind"] == "STB_GLOBAL" and s["st_shndx"] != "SHN_UNDEF"
+            ]
             assert all(symbol.startswith(f"{name}_") for symbol in public)
             assert all(s["sh_size"] == 0 for s in read.iter_sections() if s.name in (".data", ".bss"))
     subprocess.run([*command, main, *objects, "-o", tmp_path / "both"], check=True)
@@ -254,7 +278,9 @@ def test_the_exported_block_is_the_certified_one():
     from dashpot.controller import joint_block
 
     export = bundled("fr3", "fr3")
-    for (drive, law), block in zip(paired(export.robot, export.config), export.controller.blocks, strict=True):
+    for (drive, law), block in zip(
+        paired(export.robot, export.config), export.controller.blocks, strict=True
+    ):
         assert joint_block(law, drive, export.config) == block
     assert controller_hash(export.blocks) == controller_hash(export.controller.blocks)
 

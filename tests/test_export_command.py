@@ -61,7 +61,9 @@ def test_what_is_printed_is_true(files, capsys):
 
 
 def test_an_uncertified_export_says_so(files, capsys):
-    code, out, _ = run(capsys, "robot.toml", "my brake.toml", "--to", "fmu", "--without-certificate", "--sources-only")
+    code, out, _ = run(
+        capsys, "robot.toml", "my brake.toml", "--to", "fmu", "--without-certificate", "--sources-only"
+    )
     assert code == 1
     assert "NOT CERTIFIED: no certificate was asked for" in out
     assert "no binary" in out

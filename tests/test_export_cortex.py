@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from dashpot.studies import cortex
-from dashpot.studies.export import cases
+from dashpot.studies.export import cases, table
 from dashpot.studies.export_cases import bundled, differing, in_python, script
 
-EVIDENCE = json.loads((Path(__file__).parent.parent / "docs" / "evidence" / "export.json").read_text())["cases"]
+DOCS = Path(__file__).parent.parent / "docs"
+EVIDENCE = json.loads((DOCS / "evidence" / "export.json").read_text())["cases"]
 emulated = pytest.mark.skipif(bool(cortex.available()), reason=cortex.available())
 
 
@@ -46,7 +47,7 @@ def test_equal_on_a_cortex_m7(supervised, tmp_path):
 
 @emulated
 def test_contraction_is_kept_out_on_the_target(tmp_path):
-    """clang fuses by default; the pragma keeps it out, an explicit =fast overrules it, and the check says so."""
+    """clang fuses by default; the pragma keeps it out; =fast overrules it, and the check says so."""
     export = bundled("fr3", "fr3")
     guarded = cortex.Board(cortex.build(export, tmp_path, flags=("-O2", "-ffp-contract=on")))
     assert guarded.call("start") == 0
@@ -62,12 +63,26 @@ def test_the_evidence_is_complete_and_clean():
         host = row["host"]
         assert host["ticks"] * row["joints"] >= 1_000_000
         assert host["ticks"] >= 50_000 * scripts
-        assert host["differing"] == host["sanitized_differing"] == host["contraction_asked_for"]["differing"] == 0
+        assert (
+            host["differing"]
+            == host["sanitized_differing"]
+            == host["contraction_asked_for"]["differing"]
+            == 0
+        )
         for target in ("cortex_m7", "cortex_m4f"):
             if target in row:
-                assert (row[target]["check"], row[target]["differing"], row[target]["variable_bytes"]) == (0, 0, 0)
+                assert (row[target]["check"], row[target]["differing"], row[target]["variable_bytes"]) == (
+                    0,
+                    0,
+                    0,
+                )
         assert ("cortex_m4f" in row) == (export.name == "fr3")
     assert any(row["host"]["guard_removed"] == "found by the check" for row in EVIDENCE)
+
+
+def test_the_document_shows_the_evidence():
+    said = (DOCS / "export.md").read_text().splitlines()
+    assert [line for line in table(EVIDENCE) if line not in said] == []
 
 
 def test_scripts_hold_what_can_happen():
@@ -81,4 +96,6 @@ def test_scripts_hold_what_can_happen():
         assert np.isneginf(inputs).any()
         assert (np.abs(inputs[np.isfinite(inputs)]) > 1e300).any()
         assert (np.signbit(inputs) & (inputs == 0)).any()
-        assert np.array_equal(rows, script(bundled("fr3", "fr3", supervised=supervised), 20_000, seed=0), equal_nan=True)
+        assert np.array_equal(
+            rows, script(bundled("fr3", "fr3", supervised=supervised), 20_000, seed=0), equal_nan=True
+        )

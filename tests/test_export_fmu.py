@@ -1,4 +1,4 @@
-"""Exported FMUs: valid, equal to the native controller to the bit, whatever the steps, with a state that is a copy."""
+"""Exported FMUs: valid, equal to the native controller to the bit, with a state that is a copy."""
 
 import json
 import subprocess
@@ -18,7 +18,9 @@ fmpy = pytest.importorskip("fmpy", reason="needs fmpy: pip install 'dashpot[test
 fmi2 = pytest.importorskip("fmpy.fmi2")
 fmi3 = pytest.importorskip("fmpy.fmi3")
 pytestmark = [
-    pytest.mark.skipif(compiler() is None or platform_tuple() is None, reason="needs a C compiler on Linux or macOS"),
+    pytest.mark.skipif(
+        compiler() is None or platform_tuple() is None, reason="needs a C compiler on Linux or macOS"
+    ),
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
 ]
 INPUTS = ("torque", "position", "velocity", "position_ref", "velocity_ref", "acceleration_ref", "torque_ref")
@@ -62,8 +64,10 @@ class Slave:
         names = {"real": ("getReal", "getFloat64"), "enum": ("getInteger", "getInt64")}
         names |= {"int": ("getInteger", "getInt32"), "bool": ("getBoolean", "getBoolean")}
         function = getattr(self.fmu, names[kind][self.version - 2])
-        return function(self.refs(group), self.n if count is None else count) if self.version == 3 else function(
-            self.refs(group)
+        return (
+            function(self.refs(group), self.n if count is None else count)
+            if self.version == 3
+            else function(self.refs(group))
         )
 
     def step(self, at, size):
@@ -79,7 +83,9 @@ def built(tmp_path_factory):
     """Path of an FMU of every version, with and without supervisor, and what it was made from."""
     found = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dashpot.export.compiler.FLAGS", tuple("-O0" if f == "-O2" else f for f in FLAGS))  # faster
+        patch.setattr(
+            "dashpot.export.compiler.FLAGS", tuple("-O0" if f == "-O2" else f for f in FLAGS)
+        )  # faster
         for version, supervised in CASES:
             export = bundled("k807", "k807-wrist", supervised=supervised)
             path = tmp_path_factory.mktemp("fmu") / f"k807_{version}{'s' if supervised else ''}.fmu"
@@ -121,7 +127,9 @@ def test_equal_to_the_controller(built, version, tmp_path):
     given_inputs = inputs(ticks, n, 1)
     rows[:, 7:] = given_inputs.reshape(ticks, -1)
     rng = np.random.default_rng(2)
-    acts = {int(t): (int(rng.integers(1, 4)), int(rng.integers(n))) for t in rng.choice(ticks, 200, replace=False)}
+    acts = {
+        int(t): (int(rng.integers(1, 4)), int(rng.integers(n))) for t in rng.choice(ticks, 200, replace=False)
+    }
     slave = Slave(path, tmp_path / "x", version, n).start()
     mode, loop, warm = [2] * n, [True] * n, [False] * n
     found = np.zeros((ticks, n))
@@ -175,9 +183,11 @@ def test_supervised_is_equal_to_the_supervisor(built, version, tmp_path):
 
 
 @settings(max_examples=8, deadline=None)
-@given(parts=st.lists(st.integers(1, 40), min_size=3, max_size=12), start=st.sampled_from([0.0, 0.3, -2.0, 1e4]))
+@given(
+    parts=st.lists(st.integers(1, 40), min_size=3, max_size=12), start=st.sampled_from([0.0, 0.3, -2.0, 1e4])
+)
 def test_ticks_do_not_depend_on_the_steps(built, parts, start, tmp_path_factory):
-    """Steps of any number of eighths of a period: after each, the torque is that of the last tick before its end."""
+    """Steps of any number of eighths of a period: after each, the torque of the last tick before its end."""
     path, export = built[3, False]
     n, period = len(export.blocks), export.config.period
     total = sum(parts)
@@ -283,7 +293,9 @@ def test_declarations_are_those_of_the_standard(version, tmp_path):
         command += [str(tmp_path / f"fmi{version}.c")]
         headers = Path(fmpy.__file__).parent / "c-code"
         subprocess.run([*command, "-pedantic"], check=True)
-        subprocess.run([*command, "-DFMI_STANDARD_HEADERS", f"-I{headers}", "-Wno-strict-prototypes"], check=True)
+        subprocess.run(
+            [*command, "-DFMI_STANDARD_HEADERS", f"-I{headers}", "-Wno-strict-prototypes"], check=True
+        )
 
 
 def test_same_bytes_every_time(tmp_path):

@@ -302,7 +302,7 @@ class Design:
 
 @dataclass
 class Export:
-    """Export a controller as C99 or as an FMU: the same arithmetic as here, to the bit, with its certificate.
+    """Export a controller as C99 or as an FMU: equal to the one in Python to the bit, with its certificate.
 
     Example: dashpot export fr3 fr3 --to c --supervised
 

@@ -2,7 +2,7 @@
 
     make evidence-export
 
-Prints JSON for docs/evidence/export.json; docs/export.md has its figures, tests/test_export_evidence.py repeats a part.
+Prints JSON for docs/evidence/export.json; docs/export.md has its figures, the tests repeat a part.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import json
 import subprocess
 import sys
 import warnings
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -19,7 +20,16 @@ from typing import Any
 from dashpot.errors import InputWarning
 from dashpot.export.c import Export
 from dashpot.studies import cortex, export_cases
-from dashpot.studies.export_cases import BUNDLED, all_laws, build, bundled, compiled, differing, in_python, script
+from dashpot.studies.export_cases import (
+    BUNDLED,
+    all_laws,
+    build,
+    bundled,
+    compiled,
+    differing,
+    in_python,
+    script,
+)
 
 SAMPLES = 1_000_000  # of single joints, at least, per controller
 AT_ONCE = 50_000  # ticks of a script
@@ -41,7 +51,7 @@ def cases() -> list[tuple[Export, int]]:
 
 def on_host(export: Export, scripts: int, ticks: int, first_seed: int = 0) -> dict[str, Any]:
     """Compares the host's builds with Python, tick by tick: optimised, and under sanitizers."""
-    found = {"ticks": 0, "differing": 0, "sanitized_ticks": 0, "sanitized_differing": 0}
+    found: dict[str, Any] = {"ticks": 0, "differing": 0, "sanitized_ticks": 0, "sanitized_differing": 0}
     with TemporaryDirectory() as name:
         plain = build(export, Path(name))
         watched = build(export, Path(name), ("-O1", *export_cases.SANITIZED), "sanitized")
@@ -53,7 +63,9 @@ def on_host(export: Export, scripts: int, ticks: int, first_seed: int = 0) -> di
             if seed == first_seed:
                 part = rows[: ticks // 5]
                 found["sanitized_ticks"] = len(part)
-                found["sanitized_differing"] = _differing(expected[: len(part)], compiled(watched, export, part))
+                found["sanitized_differing"] = _differing(
+                    expected[: len(part)], compiled(watched, export, part)
+                )
         rows, expected = rows[: ticks // 5], expected[: ticks // 5]
         fused = compiled(build(export, Path(name), FUSED, "fused"), export, rows)
         found["contraction_asked_for"] = {"ticks": len(rows), "differing": _differing(expected, fused)}
@@ -71,10 +83,22 @@ def unguarded(export: Export, folder: Path) -> str:
     source.write_text(text.replace(GUARD, ""), encoding="ascii")
     program = folder / "unguarded"
     subprocess.run(
-        ["cc", "-std=gnu99", *FUSED, "-DHOST", *arguments, str(source), str(folder / "export_drive.c"), "-o", program],
+        [
+            "cc",
+            "-std=gnu99",
+            *FUSED,
+            "-DHOST",
+            *arguments,
+            str(source),
+            str(folder / "export_drive.c"),
+            "-o",
+            program,
+        ],
         check=True,
     )
-    return "found by the check" if compiled(program, export, script(export, 1, 0)) is None else "no difference"
+    return (
+        "found by the check" if compiled(program, export, script(export, 1, 0)) is None else "no difference"
+    )
 
 
 def on_target(export: Export, core: str, ticks: int, seed: int = 0) -> dict[str, Any]:
@@ -101,6 +125,27 @@ def on_target(export: Export, core: str, ticks: int, seed: int = 0) -> dict[str,
 
 def _differing(expected: Any, found: Any) -> int:
     return len(expected) if found is None or len(found) != len(expected) else differing(expected, found)
+
+
+def table(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """The lines of the tables of docs/export.md, made from the evidence."""
+    equal, sizes = [], []
+    for row in rows:
+        host, board = row["host"], row["cortex_m7"]
+        name = "all 13 laws" if row["controller"] == "laws" else f"`{row['controller']}`"
+        name += f", latency {row['latency']}" if row["latency"] else ""
+        name += ", supervised" if row["supervised"] else ""
+        n = row["joints"]
+        counts = [n * x for x in (host["ticks"], host["sanitized_ticks"], board["ticks"])]
+        wrong = host["differing"] + host["sanitized_differing"] + board["differing"]
+        equal.append(f"| {name} | {n} | {counts[0]:,} | {counts[1]:,} | {counts[2]:,} | {wrong} |")
+        for core, label in (("cortex_m7", "M7"), ("cortex_m4f", "M4F")):
+            if core in row:
+                said, steps = row[core], row[core]["instructions"]
+                size = f"{said['code_bytes'] / 1024:.1f} | {said['constant_bytes'] / 1024:.1f}"
+                each = f"{steps['least']:,} | {steps['median']:,.0f} | {steps['most']:,}"
+                sizes.append(f"| {name} | {n} | {label} | {size} | {each} |")
+    return equal + sizes
 
 
 def main() -> None:

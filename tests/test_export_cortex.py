@@ -55,6 +55,7 @@ def test_contraction_is_kept_out_on_the_target(tmp_path):
     assert overruled.call("start") != 0
 
 
+@pytest.mark.filterwarnings("ignore::dashpot.errors.InputWarning")
 def test_the_evidence_is_complete_and_clean():
     assert len(EVIDENCE) == len(cases())
     for export, scripts in cases():

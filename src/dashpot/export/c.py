@@ -159,7 +159,7 @@ class Export:
                 "Before the first use on a new target or with a new compiler: dp_check(&c) == 0.",
                 "",
                 "C99, freestanding: no allocation, no library (a compiler may call memcpy and memset), no",
-                "variables but those you pass; the structs are plain data, to be copied or saved as they are.",
+                "variables but those you pass; the structs are plain data: copy or save them as they are.",
             ]
         )
 

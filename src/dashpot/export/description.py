@@ -157,10 +157,9 @@ def _types(root: ElementTree.Element, export: Export, version: Version) -> None:
 def _variables_3(variables: ElementTree.Element, export: Export) -> Iterator[int]:
     """Arrays over the joints; gives the outputs' value references."""
     count, joints = len(export.blocks), ", ".join(export.controller.joints)
-    time = {"causality": "independent", "variability": "continuous", "unit": "s"}
-    ElementTree.SubElement(
-        variables, "Float64", name="time", valueReference="0", description="simulation time", **time
-    )
+    time = {"name": "time", "valueReference": "0", "description": "simulation time", "unit": "s"}
+    time |= {"causality": "independent", "variability": "continuous"}
+    ElementTree.SubElement(variables, "Float64", time)
     for group in groups(export):
         words = group.words if group.single else f"{group.words}; {joints}"
         given = {"name": group.name, "valueReference": str(group.number + 1), "description": words}

@@ -72,7 +72,7 @@ def zig(*arguments: str) -> None:
 
 
 def build(export: Export, folder: Path, core: str = "m7", flags: tuple[str, ...] = ("-O2",)) -> Path:
-    """Cross-compiles an export with `export_drive.c`: objects and, where doubles are hardware, one linked image."""
+    """Cross-compiles an export with `export_drive.c`; gives the linked image."""
     arguments = write_sources(export, folder)
     target = [
         "-target",

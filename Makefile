@@ -7,7 +7,7 @@ NATIVE := $(wildcard native/*) CMakeLists.txt pyproject.toml
 FOLDERS := $(shell find src -type d -not -name __pycache__)
 
 .PHONY: demo test lint bench clean \
-        evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms evidence-readiness
+        evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms evidence-readiness evidence-export
 
 demo: $(VENV)/.installed
 	$(BIN)/dashpot reproduce --out out/paper
@@ -60,6 +60,11 @@ evidence-readiness: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[campaign]'
 	$(BIN)/python -m dashpot.studies.readiness > docs/evidence/readiness.json.part
 	mv docs/evidence/readiness.json.part docs/evidence/readiness.json
+
+# About three minutes: exported controllers against Python, on this machine and on an emulated Cortex-M.
+evidence-export: $(VENV)/.test
+	$(BIN)/python -m dashpot.studies.export > docs/evidence/export.json.part
+	mv docs/evidence/export.json.part docs/evidence/export.json
 
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "dashpot needs Python 3.11 or newer; try: make PYTHON=python3.11")'

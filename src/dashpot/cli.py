@@ -383,12 +383,12 @@ class Design:
 
 @dataclass
 class Export:
-    """Export a controller as C99 or as an FMU: the same arithmetic as here, to the bit, with its certificate.
+    """Export a controller as C99 or as an FMU: equal to the one in Python to the bit, with its certificate.
 
     Example: dashpot export fr3 fr3 --to c --supervised
 
-    The certificate of exactly these coefficients is computed and goes into the file. Exit status: 0 written and
-    certified, 1 written but NOT CERTIFIED, 2 bad input. docs/export.md has complete programs.
+    The certificate of exactly these coefficients is computed and goes into the file. Exit status: 0 written
+    and certified, 1 written but NOT CERTIFIED, 2 bad input. docs/export.md has complete programs.
     """
 
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]

@@ -48,7 +48,7 @@ GUARDS = f"""#include <float.h>
 #endif
 """
 
-CHECKS = """/* 0 where this build computes what dashpot computed when it wrote this file, -1 where a bit differs.
+CHECKS = """/* 0 where this build computes what dashpot did when it wrote this file, -1 where a bit differs.
  * Takes {ticks} ticks; leaves *c{too} as after init. */
 int dp_{what}check({arguments});
 """
@@ -158,15 +158,15 @@ class Export:
                 "in[i * DP_JOINTS + j] is input i of joint j, out[j] the torque to command now [N m].",
                 "Before the first use on a new target or with a new compiler: dp_check(&c) == 0.",
                 "",
-                "C99, freestanding: no allocation, no library (a compiler may call memcpy and memset), no variables",
-                "but those you pass; the structs are plain data, to be copied or saved as they are.",
+                "C99, freestanding: no allocation, no library (a compiler may call memcpy and memset), no",
+                "variables but those you pass; the structs are plain data: copy or save them as they are.",
             ]
         )
 
     def _blocks(self) -> str:
         comment = (
-            "/* Coefficients, exact to the bit; in order of the joints. What is left out is zero. Torque limits\n"
-            " * in N m, rate limits in N m per tick. */\n"
+            "/* Coefficients, exact to the bit; in order of the joints. What is left out is zero. Torque\n"
+            " * limits in N m, rate limits in N m per tick. */\n"
         )
         return f"{comment}static const dp_block BLOCKS[DP_JOINTS] = {{\n{self._records(self.blocks)}}};\n"
 

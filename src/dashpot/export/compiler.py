@@ -25,7 +25,7 @@ def compiler() -> list[str] | None:
 
 
 def platform_tuple() -> tuple[str, str | None, str] | None:
-    """This machine as FMI 3.0 and 2.0 name it, and the ending of its libraries; None where no name is known."""
+    """This machine as FMI 3.0 and 2.0 name it, and the ending of its libraries; None: no name there."""
     machine = {"x86_64": "x86_64", "AMD64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}.get(
         platform.machine()
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
-from xml.etree import ElementTree as XML
+from xml.etree import ElementTree
 
 from dashpot import __version__
 from dashpot.export.c import Export
@@ -93,72 +93,73 @@ def model_description(export: Export, version: Version, token: str) -> bytes:
     """Text of ``modelDescription.xml``."""
     about = {
         "modelName": export.name,
-        "description": f"Joint controller of {export.robot.name}; see documentation/index.html for its certificate",
+        "description": f"Joint controller of {export.robot.name}; certificate: documentation/index.html",
         "generationTool": f"dashpot {__version__}",
     }
     step = repr(export.config.period)
     can = {"modelIdentifier": export.name, "canHandleVariableCommunicationStepSize": "true"}
     if version == 3:
-        root = XML.Element("fmiModelDescription", {"fmiVersion": "3.0", **about, "instantiationToken": token})
+        root = ElementTree.Element(
+            "fmiModelDescription", {"fmiVersion": "3.0", **about, "instantiationToken": token}
+        )
         can |= {"canGetAndSetFMUState": "true", "canSerializeFMUState": "true", "fixedInternalStepSize": step}
-        XML.SubElement(root, "CoSimulation", can)
+        ElementTree.SubElement(root, "CoSimulation", can)
     else:
         naming = {"guid": token, "variableNamingConvention": "structured", "numberOfEventIndicators": "0"}
-        root = XML.Element("fmiModelDescription", {"fmiVersion": "2.0", **about, **naming})
+        root = ElementTree.Element("fmiModelDescription", {"fmiVersion": "2.0", **about, **naming})
         can |= {"canGetAndSetFMUstate": "true", "canSerializeFMUstate": "true"}
         can |= {"canNotUseMemoryManagementFunctions": "true"}
-        files = XML.SubElement(XML.SubElement(root, "CoSimulation", can), "SourceFiles")
+        files = ElementTree.SubElement(ElementTree.SubElement(root, "CoSimulation", can), "SourceFiles")
         for name in (f"{export.name}.c", "fmi2.c"):
-            XML.SubElement(files, "File", name=name)
-    units = XML.SubElement(root, "UnitDefinitions")
+            ElementTree.SubElement(files, "File", name=name)
+    units = ElementTree.SubElement(root, "UnitDefinitions")
     for name, exponents in UNITS.items():
-        unit = XML.SubElement(units, "Unit", name=name)
-        XML.SubElement(unit, "BaseUnit", {base: str(power) for base, power in exponents.items()})
+        unit = ElementTree.SubElement(units, "Unit", name=name)
+        ElementTree.SubElement(unit, "BaseUnit", {base: str(power) for base, power in exponents.items()})
     _types(root, export, version)
-    XML.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=step)
-    variables = XML.SubElement(root, "ModelVariables")
+    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=step)
+    variables = ElementTree.SubElement(root, "ModelVariables")
     outputs = list((_variables_3 if version == 3 else _variables_2)(variables, export))
-    structure = XML.SubElement(root, "ModelStructure")
+    structure = ElementTree.SubElement(root, "ModelStructure")
     if version == 3:
         for element in ("Output", "InitialUnknown"):
             for reference in outputs:
-                XML.SubElement(structure, element, valueReference=str(reference))
+                ElementTree.SubElement(structure, element, valueReference=str(reference))
     else:
         for element in ("Outputs", "InitialUnknowns"):
-            part = XML.SubElement(structure, element)
+            part = ElementTree.SubElement(structure, element)
             for reference in outputs:
-                XML.SubElement(part, "Unknown", index=str(reference))
+                ElementTree.SubElement(part, "Unknown", index=str(reference))
     return _text(root)
 
 
 def build_description(export: Export) -> bytes:
     """Text of ``sources/buildDescription.xml``, FMI 3.0."""
-    root = XML.Element("fmiBuildDescription", fmiVersion="3.0")
-    build = XML.SubElement(root, "BuildConfiguration", modelIdentifier=export.name)
-    files = XML.SubElement(build, "SourceFileSet", language="C99")
+    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
+    build = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=export.name)
+    files = ElementTree.SubElement(build, "SourceFileSet", language="C99")
     for name in (f"{export.name}.c", "fmi3.c"):
-        XML.SubElement(files, "SourceFile", name=name)
+        ElementTree.SubElement(files, "SourceFile", name=name)
     return _text(root)
 
 
-def _types(root: XML.Element, export: Export, version: Version) -> None:
-    types = XML.SubElement(root, "TypeDefinitions")
+def _types(root: ElementTree.Element, export: Export, version: Version) -> None:
+    types = ElementTree.SubElement(root, "TypeDefinitions")
     name, items = ("Mode", MODES) if export.settings is None else ("State", STATES)
     if version == 3:
-        listed = XML.SubElement(types, "EnumerationType", name=name)
+        listed = ElementTree.SubElement(types, "EnumerationType", name=name)
     else:
-        listed = XML.SubElement(XML.SubElement(types, "SimpleType", name=name), "Enumeration")
+        listed = ElementTree.SubElement(ElementTree.SubElement(types, "SimpleType", name=name), "Enumeration")
     for value, item in enumerate(items):
-        XML.SubElement(listed, "Item", name=item, value=str(value))
+        ElementTree.SubElement(listed, "Item", name=item, value=str(value))
 
 
-def _variables_3(variables: XML.Element, export: Export) -> Iterator[int]:
+def _variables_3(variables: ElementTree.Element, export: Export) -> Iterator[int]:
     """Arrays over the joints; gives the outputs' value references."""
     count, joints = len(export.blocks), ", ".join(export.controller.joints)
-    time = {"causality": "independent", "variability": "continuous", "unit": "s"}
-    XML.SubElement(
-        variables, "Float64", name="time", valueReference="0", description="simulation time", **time
-    )
+    time = {"name": "time", "valueReference": "0", "description": "simulation time", "unit": "s"}
+    time |= {"causality": "independent", "variability": "continuous"}
+    ElementTree.SubElement(variables, "Float64", time)
     for group in groups(export):
         words = group.words if group.single else f"{group.words}; {joints}"
         given = {"name": group.name, "valueReference": str(group.number + 1), "description": words}
@@ -168,14 +169,14 @@ def _variables_3(variables: XML.Element, export: Export) -> Iterator[int]:
         enumerated = group.kind in ("Mode", "State")
         given |= {"declaredType": group.kind} if enumerated else {}
         given |= {"unit": group.unit} if group.unit else {}
-        element = XML.SubElement(variables, "Enumeration" if enumerated else group.kind, given)
+        element = ElementTree.SubElement(variables, "Enumeration" if enumerated else group.kind, given)
         if not group.single:
-            XML.SubElement(element, "Dimension", start=str(count))
+            ElementTree.SubElement(element, "Dimension", start=str(count))
         if group.start is None:
             yield group.number + 1
 
 
-def _variables_2(variables: XML.Element, export: Export) -> Iterator[int]:
+def _variables_2(variables: ElementTree.Element, export: Export) -> Iterator[int]:
     """One scalar per joint, counted from 1; gives the outputs' indices."""
     index = 0
     for group in groups(export):
@@ -186,24 +187,26 @@ def _variables_2(variables: XML.Element, export: Export) -> Iterator[int]:
                 "valueReference": str(JOINTS * group.number + j),
                 "description": group.words if group.single else f"{joint}: {group.words}",
             }
-            scalar = XML.SubElement(variables, "ScalarVariable", given | _role(group))
+            scalar = ElementTree.SubElement(variables, "ScalarVariable", given | _role(group))
             kind = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}.get(
                 group.kind, "Enumeration"
             )
             value = {"unit": group.unit} if group.unit else {}
             value |= {"declaredType": group.kind} if kind == "Enumeration" else {}
             value |= {"start": group.start} if group.start is not None else {}
-            XML.SubElement(scalar, kind, value)
+            ElementTree.SubElement(scalar, kind, value)
             if group.start is None:
                 yield index
 
 
 def _role(group: Group) -> dict[str, str]:
     if group.start is not None:
-        return {"causality": "input", "variability": "discrete"}
+        # Sampled at the ticks; yet "continuous", so that any continuous output may be connected.
+        return {"causality": "input", "variability": "continuous" if group.kind == "Float64" else "discrete"}
     return {"causality": "output", "variability": "discrete", "initial": "calculated"}
 
 
-def _text(root: XML.Element) -> bytes:
-    XML.indent(root)
-    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + XML.tostring(root, encoding="utf-8") + b"\n"
+def _text(root: ElementTree.Element) -> bytes:
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()

@@ -97,9 +97,10 @@ def _config(export: Export, token: str) -> str:
 def _documentation(export: Export) -> str:
     said = "\n".join(lines(export.robot, export.config, export.controller, export.certificate))
     return (
-        f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{export.name}</title></head>\n'
+        '<!DOCTYPE html>\n<html lang="en">\n'
+        f'<head><meta charset="utf-8"><title>{export.name}</title></head>\n'
         f"<body>\n<pre>\n{html.escape(said)}\n</pre>\n"
-        f"<p>Ticks are at start + k {export.config.period!r} s, whatever the communication steps. A tick reads the "
-        "inputs set before the step in which it falls; its torques can be read after that step. Steps of a part of the "
-        "period keep that delay small.</p>\n</body>\n</html>\n"
+        f"<p>Ticks are at start + k {export.config.period!r} s, whatever the communication steps. A tick "
+        "reads the inputs set before the step in which it falls; its torques can be read after that step. "
+        "Steps of a part of the period keep that delay small.</p>\n</body>\n</html>\n"
     )

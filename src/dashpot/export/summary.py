@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
@@ -105,5 +106,5 @@ def _number(value: float) -> str:
 
 def plain(text: str) -> str:
     """Text that can end no comment, on one line, in the characters of every compiler."""
-    kept = "".join(c if c.isascii() and c.isprintable() else "?" for c in text)
-    return kept.replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").replace("??", "? ?")
+    kept = "".join(c if c.isascii() and c.isprintable() else "_" for c in text).replace("\\", "_")
+    return re.sub(r"\?(?=\?)|\*(?=/)|/(?=\*)", r"\g<0> ", kept)

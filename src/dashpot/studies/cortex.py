@@ -1,8 +1,8 @@
 """A Cortex-M in an emulator: exported controllers cross-compiled, run and measured without any hardware.
 
-The compiler is that of the Python package ziglang (clang), the emulator unicorn (QEMU's instruction set without
-peripherals): both come by pip. The emulator counts instructions. It has no pipeline, caches or flash: cycles are not
-measured here, they are at best bracketed.
+The compiler is that of the Python package ziglang (clang), the emulator unicorn (QEMU's instruction set
+without peripherals): both come by pip. The emulator counts instructions. It has no pipeline, caches or flash:
+cycles are not measured here, they are at best bracketed.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def zig(*arguments: str) -> None:
 
 
 def build(export: Export, folder: Path, core: str = "m7", flags: tuple[str, ...] = ("-O2",)) -> Path:
-    """Cross-compiles an export with `export_drive.c`: objects and, where doubles are hardware, one linked image."""
+    """Cross-compiles an export with `export_drive.c`; gives the linked image."""
     arguments = write_sources(export, folder)
     target = [
         "-target",
@@ -126,17 +126,18 @@ class Board:
     """The emulated processor with an image in its flash."""
 
     def __init__(self, image: Path, *, counting: bool = False) -> None:
+        import unicorn
         from elftools.elf.elffile import ELFFile
-        from unicorn import UC_ARCH_ARM, UC_HOOK_CODE, UC_MODE_THUMB, Uc
         from unicorn.arm_const import UC_ARM_REG_C1_C0_2, UC_ARM_REG_FPEXC, UC_CPU_ARM_CORTEX_M7
 
         self.count = 0
-        self.cpu: Any = Uc(UC_ARCH_ARM, UC_MODE_THUMB)
+        made: Any = unicorn  # types of its own it has none
+        self.cpu: Any = made.Uc(made.UC_ARCH_ARM, made.UC_MODE_THUMB)
         self.cpu.ctl_set_cpu_model(UC_CPU_ARM_CORTEX_M7)
         for start, length in ((FLASH, FLASH_SIZE), (RAM, RAM_SIZE), (SCRIPT, BUFFER), (RESULT, BUFFER)):
             self.cpu.mem_map(start, length)
         with image.open("rb") as file:
-            elf = ELFFile(file)
+            elf: Any = ELFFile(file)
             for segment in elf.iter_segments("PT_LOAD"):
                 if segment["p_filesz"]:
                     self.cpu.mem_write(segment["p_vaddr"], segment.data())
@@ -145,7 +146,7 @@ class Board:
         self.cpu.reg_write(UC_ARM_REG_C1_C0_2, 0xF00000)  # the floating-point unit on
         self.cpu.reg_write(UC_ARM_REG_FPEXC, 0x40000000)
         if counting:
-            self.cpu.hook_add(UC_HOOK_CODE, self._counted)
+            self.cpu.hook_add(made.UC_HOOK_CODE, self._counted)
 
     def _counted(self, *_: object) -> None:
         self.count += 1

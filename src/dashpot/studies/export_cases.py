@@ -1,12 +1,13 @@
 """Random scripts for an exported controller, and both ways of running them: in Python, and compiled.
 
-A script holds what a robot can do to a controller: inputs of all sizes, some of them not finite, changes of mode and
-of the position loop, warm starts, presets, torques decided elsewhere and, under a supervisor, samples that are late
-and stops asked for. Every torque, status and state must come out the same, bit for bit.
+A script holds what a robot can do to a controller: inputs of all sizes, some of them not finite, changes of
+mode and of the position loop, warm starts, presets, torques decided elsewhere; and under a supervisor, late
+samples and stops asked for. Every torque, status and state must come out the same, bit for bit.
 """
 
 from __future__ import annotations
 
+import math
 import subprocess
 from collections.abc import Sequence
 from importlib.resources import files
@@ -60,7 +61,7 @@ def all_laws(latency: int = 0, form: Any = "implicit", *, supervised: bool = Fal
             torque_limit=20.0 + 5 * i,
             coulomb_friction=0.5,
             torque_noise=0.02,
-            **({"torque_rate_limit": 2e3} if i % 3 == 0 else {}),
+            torque_rate_limit=math.inf if i % 3 else 2e3,
         )
         for i, law in enumerate(laws)
     )
@@ -117,7 +118,7 @@ def script(export: Export, ticks: int, seed: int) -> Floats:
 
 
 def in_python(export: Export, rows: Floats) -> Floats:
-    """Runs a script on the controller of Python: (ticks, n + 2) torques, status, and the supervisor's state."""
+    """Runs a script on the controller of Python: (ticks, n + 2) torques, status, supervisor's state."""
     n = len(export.blocks)
     core = export.controller.core
     guard = None

@@ -361,3 +361,57 @@ CLOCKS(SetShiftFraction, const fmi3UInt64 a[], const fmi3UInt64 b[])
     (void)r, (void)n, (void)a, (void)b;
     return refuse(i, "there is no clock");
 }
+
+/* ---- of the other interface types; importers may look for every function of the standard ---- */
+
+EXPORT fmi3Status FMI(fmi3EnterContinuousTimeMode)(fmi3Instance i) { return refuse(i, "for co-simulation only"); }
+
+EXPORT fmi3Status FMI(fmi3CompletedIntegratorStep)(fmi3Instance i, fmi3Boolean a, fmi3Boolean *b, fmi3Boolean *c)
+{
+    (void)a, (void)b, (void)c;
+    return refuse(i, "for co-simulation only");
+}
+
+EXPORT fmi3Status FMI(fmi3SetTime)(fmi3Instance i, fmi3Float64 time)
+{
+    (void)time;
+    return refuse(i, "for co-simulation only");
+}
+
+EXPORT fmi3Status FMI(fmi3SetContinuousStates)(fmi3Instance i, const fmi3Float64 x[], size_t n)
+{
+    (void)x;
+    return n ? refuse(i, "there are no continuous states") : fmi3OK;
+}
+
+#define NO_STATES(Name)                                                                                           \
+    EXPORT fmi3Status FMI(fmi3##Name)(fmi3Instance i, fmi3Float64 x[], size_t n)                                  \
+    {                                                                                                             \
+        (void)x;                                                                                                  \
+        return n ? refuse(i, "there are no continuous states") : fmi3OK;                                          \
+    }
+
+NO_STATES(GetContinuousStateDerivatives)
+NO_STATES(GetEventIndicators)
+NO_STATES(GetContinuousStates)
+NO_STATES(GetNominalsOfContinuousStates)
+
+EXPORT fmi3Status FMI(fmi3GetNumberOfEventIndicators)(fmi3Instance i, size_t *n)
+{
+    (void)i;
+    *n = 0;
+    return fmi3OK;
+}
+
+EXPORT fmi3Status FMI(fmi3GetNumberOfContinuousStates)(fmi3Instance i, size_t *n)
+{
+    (void)i;
+    *n = 0;
+    return fmi3OK;
+}
+
+EXPORT fmi3Status FMI(fmi3ActivateModelPartition)(fmi3Instance i, fmi3ValueReference clock, fmi3Float64 time)
+{
+    (void)clock, (void)time;
+    return refuse(i, "for co-simulation only");
+}

@@ -41,7 +41,7 @@ class LoopSettings:
 
     Attributes:
         late_cycles: Late cycles in a row that are too many, and likewise more than a third of all: the
-            supervisor stops the arm, reason "host". A cycle is late if the robot's clock has lost ticks before
+            supervisor stops the arm, reason "host". A cycle is late if the robot's clock lost ticks before
             it.
         longest_gap: Ticks lost at once that are too many, the same.
         priority: Real-time priority asked for, 1 to 99; 0: none, and no memory is locked either.

@@ -127,7 +127,7 @@ class SimHardware:
         self._patience(UP)
 
     def equilibrium(self) -> Start | None:
-        """Where the controller begins so that nothing moves, as in `dashpot.simulate`; None: nothing holds it."""
+        """Where the controller begins so that nothing moves, as in `simulate`; None: nothing holds it."""
         found = equilibrium(self.scenario)
         if found is None:
             return None
@@ -149,7 +149,7 @@ class SimHardware:
         self._patience(UP)
 
     def read(self, sample: Sample) -> bool:
-        """The arm's newest sample; False where its process has ended or is silent, or its watchdog has tripped."""
+        """The arm's newest sample; False where its process is gone or silent, or its watchdog tripped."""
         if self._stopped:
             return False
         if not self._started and not self.settings.realtime:

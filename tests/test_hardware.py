@@ -81,7 +81,9 @@ class Bench:
 
 def same(a: Recording, b: Recording, ticks: int) -> None:
     for channel in CHANNELS:
-        np.testing.assert_array_equal(getattr(a, channel)[:ticks], getattr(b, channel)[:ticks], err_msg=channel)
+        np.testing.assert_array_equal(
+            getattr(a, channel)[:ticks], getattr(b, channel)[:ticks], err_msg=channel
+        )
 
 
 # --- lock-step is simulate ---------------------------------------------------------------------------------
@@ -93,7 +95,15 @@ def same(a: Recording, b: Recording, ticks: int) -> None:
         ("fr3", "fr3", (), (PayloadChange(0.2, Payload(2.0)),)),
         ("k807", "k807-wrist", (), ()),
         ("k807", "k807-wrist", (Fault("encoder_frozen", 0.3, joint="joint6"),), ()),
-        ("fr3", "fr3", (Fault("torque_nan", 0.2, joint="joint2"), Fault("samples_dropped", 0.1, joint="joint5", value=0.2)), ()),
+        (
+            "fr3",
+            "fr3",
+            (
+                Fault("torque_nan", 0.2, joint="joint2"),
+                Fault("samples_dropped", 0.1, joint="joint5", value=0.2),
+            ),
+            (),
+        ),
         ("k807", "k807-wrist", (Fault("samples_late", 0.1, end=0.4, value=2.0),), ()),
     ],
     ids=["payload", "partly controlled", "frozen encoder", "no torque", "late samples"],
@@ -157,7 +167,9 @@ def cycle_of(supervisor, *, ticks=1, until=-1, ring=None, late_cycles=10, longes
 @settings(max_examples=150, deadline=None)
 @given(
     st.lists(
-        st.tuples(TORQUES, TORQUES, TORQUES, TORQUES, AGES, AGES, TORQUES, st.booleans()), min_size=1, max_size=60
+        st.tuples(TORQUES, TORQUES, TORQUES, TORQUES, AGES, AGES, TORQUES, st.booleans()),
+        min_size=1,
+        max_size=60,
     ),
     st.integers(0, 3),
     TORQUES,
@@ -170,7 +182,12 @@ def test_no_sample_makes_a_torque_that_is_not_finite_or_beyond_its_limits(garbag
     last, phases = np.zeros(2), [0]
     for tick, (torque, position, velocity, effect, age, other, clock, well) in enumerate(garbage):
         if not well:
-            sample.torque, sample.position, sample.velocity, sample.in_effect = torque, position, velocity, effect
+            sample.torque, sample.position, sample.velocity, sample.in_effect = (
+                torque,
+                position,
+                velocity,
+                effect,
+            )
             sample.torque_age[:], sample.encoder_age[:] = age, other
         phases.append(cycle.step(tick * H if well else clock))
         assert np.isfinite(cycle.out).all()
@@ -346,7 +363,11 @@ def test_brakes_that_raise_do_not_keep_the_motors_on(tmp_path):
     bench = Bench("k807", "k807-wrist", after=0.6)
     arm = bench.arm(tmp_path)
     outcome = control(
-        Wrapped(arm, 60, "apply_brake", broken), bench.supervisor, bench.motion, start=arm.equilibrium(), settings=FLOW
+        Wrapped(arm, 60, "apply_brake", broken),
+        bench.supervisor,
+        bench.motion,
+        start=arm.equilibrium(),
+        settings=FLOW,
     )
     assert outcome.end == "failed"  # at the end of the motion, in the loop
     resting(Recording.load(bench.record))
@@ -441,7 +462,9 @@ def test_ctrl_c_brakes_to_rest(tmp_path):
     assert np.nanmax(np.abs(recorded.velocity[:, 5])) > 0.05  # it did move
 
 
-@pytest.mark.parametrize("numbers", [(signal.SIGTERM,), (signal.SIGINT, signal.SIGTERM)], ids=["once", "twice"])
+@pytest.mark.parametrize(
+    "numbers", [(signal.SIGTERM,), (signal.SIGINT, signal.SIGTERM)], ids=["once", "twice"]
+)
 def test_a_signal_asks_for_a_stop_and_a_second_one_does_not_wait(tmp_path, numbers):
     bench = Bench("k807", "k807-wrist", after=0.6)
     arm = bench.arm(tmp_path)
@@ -463,7 +486,9 @@ def test_a_signal_asks_for_a_stop_and_a_second_one_does_not_wait(tmp_path, numbe
     handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     outcome = control(wrapped, bench.supervisor, bench.motion, start=arm.equilibrium(), settings=FLOW)
     assert (outcome.end, outcome.signal) == ("stopped", numbers[0])
-    assert (outcome.state, outcome.braked) == (("safe", True) if len(numbers) == 1 else ("torque_brake", False))
+    assert (outcome.state, outcome.braked) == (
+        ("safe", True) if len(numbers) == 1 else ("torque_brake", False)
+    )
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == handlers
     resting(Recording.load(bench.record))
 
@@ -476,5 +501,7 @@ def test_a_killed_host_leaves_an_arm_at_rest(tmp_path):
     assert not recorded.settings["stopped"]  # nobody said stop
     tripped = recorded.settings["watchdog_at"]
     assert np.abs(recorded.in_effect[tripped - 1]).max() > 0.1
-    assert (recorded.in_effect[tripped + 1 :][np.isfinite(recorded.in_effect[tripped + 1 :]).all(1)][:, 4:] == 0).all()
+    assert (
+        recorded.in_effect[tripped + 1 :][np.isfinite(recorded.in_effect[tripped + 1 :]).all(1)][:, 4:] == 0
+    ).all()
     resting(recorded)

@@ -328,7 +328,10 @@ def test_what_is_not_certified_does_not_run(dashpot):  # noqa: F811
     ("arguments", "said"),
     [
         (("--via", "own"), "--via = 'own': must be sim, franka, or module:Class"),
-        (("--via", "no_such_module:Arm"), "--via = 'no_such_module:Arm': cannot be imported: No module named"),
+        (
+            ("--via", "no_such_module:Arm"),
+            "--via = 'no_such_module:Arm': cannot be imported: No module named",
+        ),
         (("--via", "json:JSONDecoder"), "cannot be made: TypeError"),
         (("--via", "fractions:Fraction"), "cannot be made: "),
         (("--via", "franka"), "--host: is needed"),
@@ -373,7 +376,9 @@ def test_lock_step_ends_where_it_should_and_logs_every_tick(dashpot, tmp_path): 
     said = [m.ros_msg.msg for m in messages if m.channel.topic == "/rosout"]
     with np.load(tmp_path / "arm.npz") as recorded:
         chosen = [4, 5, 6]
-        np.testing.assert_array_equal([s.position for s in states], recorded["position"][: len(states), chosen])
+        np.testing.assert_array_equal(
+            [s.position for s in states], recorded["position"][: len(states), chosen]
+        )
         np.testing.assert_array_equal([s.effort for s in states], recorded["sample"][: len(states), chosen])
     assert f"{len(states)} cycles" in out
     assert any("repeats itself" in line for line in said)

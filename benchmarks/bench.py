@@ -1,5 +1,5 @@
 """Speed of dashpot as ratios measured in one run: closed loop, step, allocation, threads,
-certificate, design of an arm, campaign.
+certificate, design of an arm, campaign, real-time loop.
 
     python benchmarks/bench.py [--json FILE] [--check] [--only PART ...]
 
@@ -27,6 +27,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import realtime
 import rivals
 from campaign import campaign
 from certify import certificate
@@ -269,7 +270,7 @@ def threads(rows: Rows) -> None:
     rows.add("threads_speedup", "two threads: times faster", best["one"] / best["two"])
 
 
-_PARTS = (closed_loop, controller_step, allocation, threads, certificate, design, campaign)
+_PARTS = (closed_loop, controller_step, allocation, threads, certificate, design, campaign, realtime.run)
 PARTS = {part.__name__: part for part in _PARTS}
 
 

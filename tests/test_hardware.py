@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import signal
@@ -17,15 +16,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_plant import one_joint
 from test_supervisor import H, guarded
 
 from dashpot import _native
 from dashpot.commands.run import standing
 from dashpot.controller import Controller, load_controller
-from dashpot.errors import DashpotError, InputError
 from dashpot.faults import Fault
-from dashpot.hardware.interface import Hardware, Sample
+from dashpot.hardware.interface import Sample
 from dashpot.hardware.ring import COLUMNS, ROW_DTYPE, Ring
 from dashpot.hardware.runtime import LoopSettings, control
 from dashpot.hardware.sim import LinkSettings, SimHardware
@@ -48,7 +45,7 @@ def columns(path: Trajectory, chosen: list[int]) -> Trajectory:
 
 
 class Bench:
-    """A scenario of simulate, and the same as a simulated robot with a supervisor on this side of the link."""
+    """A scenario of simulate, and the same as a robot behind a link with a supervisor on this side."""
 
     def __init__(self, name: str, controller: str, *, seconds=0.6, after=0.3, **about):
         robot, config = Robot.load(name), load_controller(controller)
@@ -280,7 +277,7 @@ def test_a_ring_read_while_it_is_written_never_gives_half_a_row():
 
 def test_layouts_are_the_native_ones():
     assert ROW_DTYPE.itemsize == _native.ROW_SIZE
-    assert _native.ROW_COLUMNS == len(COLUMNS) + 4
+    assert len(COLUMNS) + 4 == _native.ROW_COLUMNS
 
 
 def test_an_array_assigned_to_a_sample_is_copied():

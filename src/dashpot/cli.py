@@ -108,7 +108,8 @@ class Run:
     Limits, rates, certificate, samples and sensor bias are checked first, and no torque is sent unless all is
     well. However it ends, with Ctrl-C too, the arm is braked to rest and its mechanical brakes close.
 
-    Exit status: 0 the motion is over (or all checks pass), 1 a check fails, or the supervisor, the robot or its
+    Exit status: 0 the motion is over (or all checks pass), 1 a check fails, or the supervisor, the robot or
+        its
     adapter ended the run, 2 bad input, 130 stopped by Ctrl-C, 143 by SIGTERM.
     """
 
@@ -117,8 +118,8 @@ class Run:
     controller: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CONTROLLER")]
     """Controller TOML, or k807-wrist, k807-resonant, fr3, iiwa14."""
     via: Annotated[str, tyro.conf.arg(metavar="sim|franka|MODULE:CLASS")] = "sim"
-    """The link: a simulated arm in a process of its own, a Franka robot, or your adapter, called with host and
-    robot (examples/own_hardware.py)."""
+    """The link: a simulated arm in a process of its own, a Franka robot, or your adapter, called with host
+    and robot (examples/own_hardware.py)."""
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: none)")] = ""
     """Of the robot."""
     check: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -139,7 +140,7 @@ class Run:
     ] = None
     """Of the run [s]."""
     payload: Annotated[float, tyro.conf.arg(metavar="KG")] = 0.0
-    """Mass on the flange [kg]: sensor bias is what is left of the torques at rest without the arm's weight."""
+    """Mass on the flange [kg]: sensor bias is what its weight and the arm's do not explain."""
     offset: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X [Y Z]")] = (0.0,)
     """Its centre in the flange frame [m]: one number along x, or three."""
     samples: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 500
@@ -153,7 +154,7 @@ class Run:
     cpu: Annotated[int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: any)")] = None
     """Processor the loop stays on."""
     lock_step: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """sim: the arm waits for every torque; the same bits every time, those of dashpot simulate --supervise."""
+    """sim: the arm waits for every torque; same bits every time, those of dashpot simulate --supervise."""
     fault: Annotated[
         tuple[str, ...],
         tyro.conf.UseAppendAction,
@@ -171,7 +172,7 @@ class Run:
     record: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE.npz", help_behavior_hint="(default: none)")
     ] = None
-    """sim: what the arm did, written by its own process once it is at rest, even where this one was killed."""
+    """sim: what the arm did, written by its own process once it is at rest, even if this one is killed."""
 
     def run(self) -> int:
         """Runs the command."""

@@ -230,8 +230,8 @@ class Loop:
 
         Args:
             scenario: What to run.
-            link: The controller is at its other end; the scenario's says how the arm starts, and no supervisor
-                runs here.
+            link: The controller is at its other end; the scenario's says how the arm starts, and no
+                supervisor runs here.
 
         Raises:
             InputError: As `dashpot.simulate.run`.

@@ -1,4 +1,4 @@
-"""What a certificate is about, in 64 hex digits: the coefficients that run and the drives they were judged with."""
+"""What a certificate is about, in 64 hex digits: coefficients, and the drives they were judged with."""
 
 from __future__ import annotations
 

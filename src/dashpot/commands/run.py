@@ -35,7 +35,7 @@ from dashpot.rivals.tracking import PDGravity
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
 from dashpot.simulate import Scenario
-from dashpot.supervisor import Supervisor, SupervisorSettings
+from dashpot.supervisor import Supervisor
 from dashpot.trajectory import Trajectory, hold
 
 if TYPE_CHECKING:
@@ -164,7 +164,13 @@ def _run(options: Run, job: Job, hardware: Hardware, start: Start | None) -> Out
     log = "" if options.log is None else str(options.log.resolve())
     names = job.controller.joints
     notes = Notes(
-        names, job.controller.period, limits, log, terminal and not options.lock_step, not options.lock_step, about
+        names,
+        job.controller.period,
+        limits,
+        log,
+        terminal and not options.lock_step,
+        not options.lock_step,
+        about,
     )
     ring = Ring() if log or notes.live else None
     settings = LoopSettings(
@@ -193,6 +199,8 @@ def _check(options: Run) -> None:
             raise InputError("is for --via sim: a robot is as it is", quantity=key)
     if options.duration is not None and not (math.isfinite(options.duration) and options.duration > 0):
         raise InputError("must be positive", quantity="--duration [s]", value=options.duration)
+    if options.certificate is not None and options.uncertified:
+        raise InputError("is not looked at with --uncertified; leave one out", quantity="--certificate")
     if options.samples < 10:
         raise InputError("must be at least 10", quantity="--samples", value=options.samples)
     if not 0 <= options.priority <= 99:
@@ -239,7 +247,9 @@ def _path(options: Run, robot: Robot, config: ControllerConfig) -> Trajectory | 
         path = hold(robot.home, duration or SIMULATED, config.period)
     elif not Path(options.motion).exists():
         raise InputError(
-            'must be "hold" or a CSV file, and there is no such file', quantity="--motion", value=options.motion
+            'must be "hold" or a CSV file, and there is no such file',
+            quantity="--motion",
+            value=options.motion,
         )
     else:
         most = round(LONGEST / config.period)
@@ -328,7 +338,9 @@ def _robot(options: Run, job: Job) -> Hardware:
         module, _, name = options.via.partition(":")
     if not module or not name:
         raise InputError(
-            "must be sim, franka, or module:Class, the adapter of your robot", quantity="--via", value=options.via
+            "must be sim, franka, or module:Class, the adapter of your robot",
+            quantity="--via",
+            value=options.via,
         )
     sys.path.insert(0, "")  # a module in the current folder, as `python -m` finds it
     try:
@@ -337,7 +349,8 @@ def _robot(options: Run, job: Job) -> Hardware:
         raise
     except ModuleNotFoundError as error:
         raise InputError(
-            f"cannot be imported: {error}" + ("; pip install 'dashpot[franka]'" if options.via == "franka" else ""),
+            f"cannot be imported: {error}"
+            + ("; pip install 'dashpot[franka]'" if options.via == "franka" else ""),
             quantity="--via",
             value=options.via,
         ) from None

@@ -35,7 +35,9 @@ def show_checks(checks: Sequence[Check], options: Run) -> None:
     """Prints the checklist and its verdict."""
     console = Console()
     where = f" at {options.host}" if options.host else ""
-    table = bare_table(f"{Path(options.robot).name} under {Path(options.controller).name}, via {options.via}{where}")
+    table = bare_table(
+        f"{Path(options.robot).name} under {Path(options.controller).name}, via {options.via}{where}"
+    )
     for name in ("check", "joint"):
         table.add_column(name, no_wrap=True)
     for name in ("value", "asked for"):
@@ -54,8 +56,8 @@ def show_checks(checks: Sequence[Check], options: Run) -> None:
         )
         if any(name.startswith("certificate") for name in failed):
             console.print(
-                f"look at it: dashpot certify {escape(options.robot)} {escape(options.controller)}; run without a "
-                "certificate: --uncertified",
+                f"look at it: dashpot certify {escape(options.robot)} {escape(options.controller)}; "
+                "run without a certificate: --uncertified",
                 highlight=False,
                 soft_wrap=True,
                 style="dim",
@@ -72,7 +74,7 @@ def show_measures(console: Console, measures: Sequence[Measure]) -> None:
 
 
 def quantiles(jitter: NDArray[np.int64]) -> list[float]:
-    """Upper bounds of the quantiles `BEST` of a histogram with bins of 1 us [us]; NaN: there is nothing in it."""
+    """Upper bounds of the quantiles `BEST` of a histogram with bins of 1 us [us]; NaN: it is empty."""
     total = jitter.sum()
     if total == 0:
         return [float("nan")] * len(BEST)
@@ -94,7 +96,11 @@ def show_outcome(outcome: Outcome, controller: Controller, options: Run) -> None
             table.add_column(name, no_wrap=True)
         table.add_column("why")
         for decision in outcome.decisions:
-            size = f" ({decision.value:.3g} {decision.unit}, limit {decision.threshold:.3g})" if decision.unit else ""
+            size = (
+                f" ({decision.value:.3g} {decision.unit}, limit {decision.threshold:.3g})"
+                if decision.unit
+                else ""
+            )
             table.add_row(
                 f"{decision.time:.3f}",
                 escape(decision.joint or "all"),

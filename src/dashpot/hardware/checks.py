@@ -1,4 +1,4 @@
-"""What is verified before any torque is sent: limits, rates, certificate, and what the sensors say at rest."""
+"""What is verified before any torque is sent: limits, certificate, and what the sensors say at rest."""
 
 from __future__ import annotations
 
@@ -123,9 +123,7 @@ def before_link(
     names, blocks = controller.joints, controller.blocks
     checks = _certificate(drives, config, controller, verdicts)
     limit = np.array([drive.torque_limit for drive in drives])
-    checks.append(
-        _worst("torque limit", names, blocks["torque_limit"], limit, "{:.4g} N m", "{:.4g} N m")
-    )
+    checks.append(_worst("torque limit", names, blocks["torque_limit"], limit, "{:.4g} N m", "{:.4g} N m"))
     rate = np.array([drive.torque_rate_limit for drive in drives])
     asked = blocks["rate_limit"] / controller.period
     checks.append(_worst("torque rate", names, asked, rate, "{:.4g} N m/s", "{:.4g} N m/s"))
@@ -152,7 +150,9 @@ def _certificate(
         if not bad and name == "certificate":
             value += f", margin {least:.2g} x"
         checks.append(
-            Check(name, bad[0] if bad else joint if name == "certificate" else "", value, "all joints", not bad)
+            Check(
+                name, bad[0] if bad else joint if name == "certificate" else "", value, "all joints", not bad
+            )
         )
     return checks
 
@@ -238,7 +238,8 @@ def listen(hardware: Hardware, controller: Controller, samples: int) -> Heard:
         for k, array in enumerate((sample.torque, sample.position, sample.velocity)):
             signals[k, i] = array[order]
         age = max(age, int(sample.torque_age.max()), int(sample.encoder_age.max()))
-    return Heard(time_, arrival, *signals, age)
+    torque, position, velocity = signals
+    return Heard(time_, arrival, torque, position, velocity, age)
 
 
 def at_rest(
@@ -271,14 +272,14 @@ def at_rest(
     if (stated > 0).all():
         most = NOISE * stated
         checks.append(_worst("torque noise", names, noise, most, "{:.3g} N m", "{:.3g} N m"))
-        still = [name for name, deviation in zip(names, noise, strict=True) if deviation == 0]
+        still = [
+            name for name, change in zip(names, np.ptp(heard.torque, axis=0), strict=True) if change == 0
+        ]
         value = still[0] if still else "all change"
         checks.append(Check("torque sensors", still[0] if still else "", value, "none repeats", not still))
     else:
         joint = names[int(np.argmin(stated))]
-        checks.append(
-            Check("torque noise", joint, f"{noise.max():.3g} N m", "robot file states none", None)
-        )
+        checks.append(Check("torque noise", joint, f"{noise.max():.3g} N m", "robot file states none", None))
     checks.append(_bias(heard, drives, names, settings, load))
     where = heard.position.mean(0)
     if ranges:
@@ -333,9 +334,13 @@ def _clock(heard: Heard, period: float, settings: SupervisorSettings, realtime: 
 
 
 def _bias(
-    heard: Heard, drives: Sequence[Drive], names: Sequence[str], settings: SupervisorSettings, load: Floats | None
+    heard: Heard,
+    drives: Sequence[Drive],
+    names: Sequence[str],
+    settings: SupervisorSettings,
+    load: Floats | None,
 ) -> Check:
-    """Mean torque against gravity: what is left is the sensors' bias, or a payload that nobody has mentioned."""
+    """Mean torque against gravity: what is left is the sensors' bias, or a payload nobody has mentioned."""
     mean = heard.torque.mean(0)
     if load is None:
         j = int(np.argmax(np.abs(mean)))

@@ -20,17 +20,19 @@ Ages = NDArray[np.int32]
 
 @dataclass
 class Sample:
-    """What the robot says at one tick: made once, filled in place by `Hardware.read`; an array assigned to it is copied.
+    """What the robot says at one tick, filled in place by `Hardware.read`.
+
+    It is made once; an array that is assigned to an attribute is copied into the one there is.
 
     Attributes:
-        time: When the sample was taken, on the robot's clock [s]. Ticks that are missing in it are cycles that
-            were lost; the same time twice is no new sample.
-        torque: Sensed joint torque tau_s, (n,) [N m], link side, positive as in ``u = m q'' + v q' + f + tau_s``;
-            gravity included. NaN: none.
+        time: When the sample was taken, on the robot's clock [s]. Ticks that are missing in it are cycles
+            that were lost; the same time twice is no new sample.
+        torque: Sensed joint torque tau_s, (n,) [N m], link side, positive as in ``u = m q'' + v q' + f +
+            tau_s``; gravity included. NaN: none.
         position: (n,) [rad]; NaN where there is none.
         velocity: (n,) [rad/s].
-        in_effect: Torque the motors were asked for over the last period, gravity included, (n,) [N m]; NaN where
-            the robot does not say.
+        in_effect: Torque the motors were asked for over the last period, gravity included, (n,) [N m]; NaN
+            where the robot does not say.
         torque_age: Ticks since the torque was measured, (n,); 0: fresh.
         encoder_age: The same of position and velocity.
     """
@@ -70,8 +72,8 @@ class Hardware(Protocol):
     Attributes:
         joints: Names, base to tip: the order of every array. All of them are controlled.
         period: Of the robot's cycle [s].
-        paced: True: `read` itself waits for the robot's next cycle. False: the loop's clock paces, and `read` takes
-            the newest sample there is.
+        paced: True: `read` itself waits for the robot's next cycle. False: the loop's clock paces, and
+            `read` takes the newest sample there is.
         reason: Why the robot ended the motion, in words; "" while it has not.
     """
 
@@ -84,15 +86,16 @@ class Hardware(Protocol):
         """Takes the robot over, torque zero beyond what the robot holds itself with; opens its brakes.
 
         Raises:
-            DashpotError: It cannot; one line that says why and what to do. Any other exception is reported alike.
+            DashpotError: It cannot; one line that says why and what to do. Any other exception is reported
+                alike.
         """
 
     def read(self, sample: Sample) -> bool:
         """Fills `sample` in place with what the robot says now.
 
-        Before `start` it must work too, without any motion command: the checks of ``dashpot run --check`` look at
-        the sensors of an arm at rest that way. It must come back after some periods at the latest, whatever the
-        robot does: the loop cannot stop a robot while it waits.
+        Before `start` it must work too, without any motion command: the checks of ``dashpot run --check``
+        look at the sensors of an arm at rest that way. It must come back after some periods at the latest,
+        whatever the robot does: the loop cannot stop a robot while it waits.
 
         Returns:
             False: the robot ended the motion or the link is lost, and `reason` says why. The loop then calls
@@ -102,8 +105,8 @@ class Hardware(Protocol):
     def write(self, torque: Floats) -> None:
         """Sends the torques for the coming period, (n,) [N m]: motor torque u, gravity included.
 
-        They are finite and within the torque and rate limits of the controller. The array is used again: what is
-        kept of it must be copied.
+        They are finite and within the torque and rate limits of the controller. The array is used again:
+        what is kept of it must be copied.
         """
 
     def apply_brake(self) -> None:

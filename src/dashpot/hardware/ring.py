@@ -24,7 +24,7 @@ COLUMNS = (
     "energy_motor",
     "energy_port",
 )
-"""Columns of a row, one number per joint; block states x0 to x3 follow. Units as in `Sample`, energies [J]."""
+"""Columns of a row, one number per joint; block states x0 to x3 follow. Units of `Sample`, energies [J]."""
 ROW_DTYPE = np.dtype(
     [
         ("tick", "i8"),
@@ -83,7 +83,7 @@ class Ring:
         self._rows = np.zeros(min(rows, 1024), ROW_DTYPE)
 
     def drain(self) -> NDArray[np.void]:
-        """Rows that have come since the last call, oldest first; at most 1024, in memory that is used again."""
+        """Rows that have come since the last call, oldest first; at most 1024, in memory used again."""
         count, self._next, missed = _native.ring_drain(self.memory, self._rows.view(np.uint8), self._next)
         self.missed += missed
         return self._rows[:count]

@@ -1,8 +1,8 @@
 """The real-time loop: samples in, one native call, torques out, and an end that is always the safe state.
 
-Per cycle Python makes three calls, `Hardware.read`, ``Cycle.step`` and `Hardware.write`, and nothing else runs in this
-process: the log and the status line are drawn from a ring in shared memory by another one (`dashpot.hardware.scribe`).
-docs/hardware.md says how a run ends in each case.
+Per cycle Python makes three calls, `Hardware.read`, ``Cycle.step`` and `Hardware.write`, and nothing else
+runs in this process: the log and the status line are drawn from a ring in shared memory by another one
+(`dashpot.hardware.scribe`). docs/hardware.md says how a run ends in each case.
 """
 
 from __future__ import annotations
@@ -40,8 +40,9 @@ class LoopSettings:
     """How much lateness a run tolerates, and what it asks of the operating system.
 
     Attributes:
-        late_cycles: Late cycles in a row that are too many, and likewise more than a third of all: the supervisor
-            stops the arm, reason "host". Late is a cycle before which the robot's clock has lost ticks.
+        late_cycles: Late cycles in a row that are too many, and likewise more than a third of all: the
+            supervisor stops the arm, reason "host". A cycle is late if the robot's clock lost ticks before
+            it.
         longest_gap: Ticks lost at once that are too many, the same.
         priority: Real-time priority asked for, 1 to 99; 0: none, and no memory is locked either.
         cpu: Processor to stay on; None: any.
@@ -73,8 +74,8 @@ class Outcome:
     """How a run ended. The motors are off and the brakes are closed, however it did.
 
     Attributes:
-        end: "done": the motion was over; "stopped": by a signal; "supervisor": by its own decision; "robot": the
-            robot ended it, or the link was lost; "failed": the adapter raised an exception.
+        end: "done": the motion was over; "stopped": by a signal; "supervisor": by its own decision; "robot":
+            the robot ended it, or the link was lost; "failed": the adapter raised an exception.
         reason: One line.
         state: Of the supervisor at the end; "safe" unless robot, adapter or a second signal cut it short.
         braked: Whether the arm was brought to rest before the mechanical brakes closed.
@@ -108,14 +109,14 @@ def control(
 ) -> Outcome:
     """Controls a robot until the motion is over, somebody stops it, or something fails.
 
-    Ctrl-C and SIGTERM, where this is the main thread, ask the supervisor for a stop: the arm is braked to rest, then
-    the mechanical brakes close. A second one closes them at once.
+    Ctrl-C and SIGTERM, where this is the main thread, ask the supervisor for a stop: the arm is braked to
+    rest, then the mechanical brakes close. A second one closes them at once.
 
     Args:
         hardware: The robot; its joints are the controller's, in any order.
         supervisor: With its controller; both are fresh, or reset.
-        trajectory: References in the order of ``controller.joints``, (ticks, n); after its end it stands. None: where
-            the arm is found.
+        trajectory: References in the order of ``controller.joints``, (ticks, n); after its end it stands.
+            None: where the arm is found.
         duration: Of the run, on the robot's clock [s]; None: that of the trajectory, or without one no end.
         start: State of the controller; None: in equilibrium with what the sensors say at rest.
         settings: None: the defaults.
@@ -125,7 +126,8 @@ def control(
         How it ended. Exceptions of the adapter are in it, too; only bad arguments raise.
 
     Raises:
-        InputError: Joints, periods or shapes do not fit together, or the arm cannot be held where it is found.
+        InputError: Joints, periods or shapes do not fit together, or the arm cannot be held where it is
+            found.
     """
     settings = settings or LoopSettings()
     controller = supervisor.controller

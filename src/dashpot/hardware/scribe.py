@@ -1,8 +1,8 @@
 """Log and status line of a run, in a process of their own: ``python -m dashpot.hardware.scribe RING``.
 
-It reads the ring that the loop writes (`dashpot.hardware.ring`), so that nothing in the loop's process ever waits for
-a disk, a terminal or another thread's hold on the interpreter. It ends when the loop closes the ring, or when the
-loop's process is gone; then it finishes the log all the same.
+It reads the ring that the loop writes (`dashpot.hardware.ring`), so that nothing in the loop's process ever
+waits for a disk, a terminal or another thread's hold on the interpreter. It ends when the loop closes the
+ring, or when the loop's process is gone; then it finishes the log all the same.
 """
 
 from __future__ import annotations

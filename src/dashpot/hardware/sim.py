@@ -1,8 +1,8 @@
 """``--via sim``: a simulated arm in a process of its own, linked as a robot is (native/dashpot_link.h).
 
-The plant is that of `dashpot.simulate`: elastic joints, friction, payload, the true torque sensor, scripted faults. In
-real time it is a robot with a clock of its own; without (``realtime=False``) it waits for every answer, and the run has
-the same bits every time: those of `dashpot.simulate.run` with a supervisor.
+The plant is that of `dashpot.simulate`: elastic joints, friction, payload, the true torque sensor, scripted
+faults. In real time it is a robot with a clock of its own; without (``realtime=False``) it waits for every
+answer, and the run has the same bits every time: those of `dashpot.simulate.run` with a supervisor.
 """
 
 from __future__ import annotations
@@ -74,10 +74,11 @@ class LinkSettings:
 
 
 class SimHardware:
-    """A simulated arm as `Hardware`. Before `start` the brakes hold it in its equilibrium at the first reference.
+    """A simulated arm as `Hardware`. Before `start` its brakes hold it in equilibrium at the first reference.
 
     Attributes:
-        scenario: What is simulated; its supervisor is not used, and of its controller only how the arm starts.
+        scenario: What is simulated; its supervisor is not used, and of its controller only how the arm
+            starts.
         process: Of the arm. It outlives this one: killed, its watchdog stops the arm.
     """
 
@@ -115,7 +116,8 @@ class SimHardware:
         ):
             raise RuntimeError("the native library was built from another version; reinstall dashpot")
         self._buffer = memoryview(self._in.view(np.uint8))  # type: ignore[arg-type]
-        self._values = tuple(self._in[name][0, :n] for name in (*_FLOATS, *_AGES))
+        self._values = tuple(self._in[name][0, :n] for name in _FLOATS)
+        self._ages = tuple(self._in[name][0, :n] for name in _AGES)
         self._torque = self._out["torque"][0, :n]
         self._started = self._stopped = False
         self._heard = 0.0
@@ -125,7 +127,7 @@ class SimHardware:
         self._patience(UP)
 
     def equilibrium(self) -> Start | None:
-        """Where the controller begins so that nothing moves, as `dashpot.simulate` does; None: nothing holds it."""
+        """Where the controller begins so that nothing moves, as in `simulate`; None: nothing holds it."""
         found = equilibrium(self.scenario)
         if found is None:
             return None
@@ -147,7 +149,7 @@ class SimHardware:
         self._patience(UP)
 
     def read(self, sample: Sample) -> bool:
-        """The arm's newest sample; False where its process has ended, says nothing, or its watchdog has tripped."""
+        """The arm's newest sample; False where its process is gone or silent, or its watchdog tripped."""
         if self._stopped:
             return False
         if not self._started and not self.settings.realtime:
@@ -159,9 +161,10 @@ class SimHardware:
             self.reason = "the arm's watchdog has closed its brakes: no torque came for too long"
             return False
         sample.time = float(message["time"])
-        arrays = sample.torque, sample.position, sample.velocity, sample.in_effect
-        for array, values in zip((*arrays, sample.torque_age, sample.encoder_age), self._values, strict=True):
-            array[:] = values
+        torque, position, velocity, in_effect = self._values
+        sample.torque[:], sample.position[:] = torque, position
+        sample.velocity[:], sample.in_effect[:] = velocity, in_effect
+        sample.torque_age[:], sample.encoder_age[:] = self._ages
         return True
 
     def write(self, torque: Floats) -> None:

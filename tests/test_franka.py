@@ -140,10 +140,10 @@ def test_gravity_is_what_the_robot_adds(robot, hardware):
     state = hardware._robot.read_once()
     own = gravity.torque(np.array(state.q))
     assert hardware._gravity(state) == pytest.approx(own, abs=2e-4)  # single precision on the wire
-    assert state.O_T_EE == pytest.approx(gravity.pose, abs=1e-5)
+    assert pytest.approx(gravity.pose, abs=1e-5) == state.O_T_EE
     # What is left of the sensors is the payload that nobody has declared.
     assert abs(sample.torque[0]) < 0.3
-    assert -sample.torque[1] == pytest.approx(2.0 * 9.81 * gravity.pose[12], abs=0.3)
+    assert sample.torque[1] == pytest.approx(-2.0 * 9.81 * gravity.pose[12], abs=0.3)
     hardware._robot.set_load(1.5, [0.02, 0.0, 0.1], [0.0] * 9)
     while (state := hardware._robot.read_once()).m_load == 0:  # states from before are on their way
         pass
@@ -219,7 +219,7 @@ def test_errors_say_what_to_do(robot, monkeypatch):
     with pytest.raises(InputError, match=r"joint1'.*torque_limit .* = 370.*: a Franka takes at most 87 N m"):
         FrankaHardware("127.0.88.8", robot.with_drives({"joint1": {"torque_limit": 370.0}}))
     monkeypatch.setitem(sys.modules, "pylibfranka", None)
-    with pytest.raises(DashpotError, match="pylibfranka .* does not run here"):
+    with pytest.raises(DashpotError, match=r"pylibfranka .* does not run here"):
         FrankaHardware("127.0.88.8", robot)
 
 

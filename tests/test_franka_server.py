@@ -1,4 +1,4 @@
-"""The simulated Franka by itself: its wire, rules, model and arm; test_franka.py drives it through pylibfranka."""
+"""The simulated Franka by itself: wire, rules, model and arm; test_franka.py drives it by pylibfranka."""
 
 from dataclasses import replace
 

@@ -53,7 +53,8 @@ def pylibfranka() -> ModuleType:
             found = importlib.metadata.version("pylibfranka")
         except importlib.metadata.PackageNotFoundError:
             raise DashpotError(
-                "pylibfranka is not installed: pip install 'dashpot[franka]' (Linux, x86-64, Python 3.10 to 3.12)"
+                "pylibfranka is not installed: pip install 'dashpot[franka]' "
+                "(Linux on x86-64, Python 3.11 or 3.12)"
             ) from None
         raise DashpotError(f"pylibfranka {found} does not run here: {error}") from None
 
@@ -150,8 +151,9 @@ class FrankaHardware:
             if not (apart < ENCODERS).all():
                 joint = int(np.argmax(np.nan_to_num(apart, nan=np.inf)))
                 raise DashpotError(
-                    f"{self.host}: joint {self.joints[joint]!r}: motor position {state.theta[joint]:.4g} rad and "
-                    f"link position {state.q[joint]:.4g} rad do not fit together; this system does not send theta"
+                    f"{self.host}: joint {self.joints[joint]!r}: motor position {state.theta[joint]:.4g} rad "
+                    f"and link position {state.q[joint]:.4g} rad do not fit together; this system does not "
+                    "send theta"
                 )
             self._control = self._robot.start_torque_control()
             take(self._control.readOnce()[0].tau_J_d, self._in_effect)

@@ -37,8 +37,9 @@ from dashpot.hardware.franka_server.messages import (
 from dashpot.hardware.franka_server.rules import Rules
 
 PATIENCE = 0.5  # [s] for which lock-step waits for an answer; libfranka itself gives up after 1 s
-REPEAT = (0.02, 0.4)  # [s] after which lock-step shows the state again to a client that has not begun to command:
-# libfranka takes the first one as the news that the motion has started, and waits for the next
+REPEAT = (0.02, 0.4)
+# [s] after which lock-step shows the state again to a client that has not begun to command: libfranka takes
+# the first one as the news that the motion has started, and waits for the next
 SETTLING = 1000  # ticks for which lock-step lets the arm go on when a motion has ended; then it stands still
 LARGEST = 4096  # [bytes] of a message that a client may send
 
@@ -226,7 +227,7 @@ class _Session:
             self._advance(self._rules)
 
     def _settle(self, ticks: int) -> None:
-        """In lock-step, so many of the ticks for which the arm goes on after a motion, as far as there are any."""
+        """In lock-step: so many of the ticks for which the arm goes on after a motion, if any are left."""
         for _ in range(min(ticks, self._settling)):
             self._settling -= 1
             self._arm.hold()

@@ -7,7 +7,8 @@ NATIVE := $(wildcard native/*) CMakeLists.txt pyproject.toml
 FOLDERS := $(shell find src -type d -not -name __pycache__)
 
 .PHONY: demo test lint bench clean \
-        evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms evidence-readiness evidence-export
+        evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms \
+        evidence-readiness evidence-export evidence-franka
 
 demo: $(VENV)/.installed
 	$(BIN)/dashpot reproduce --out out/paper
@@ -65,6 +66,12 @@ evidence-readiness: $(VENV)/.installed
 evidence-export: $(VENV)/.test
 	$(BIN)/python -m dashpot.studies.export > docs/evidence/export.json.part
 	mv docs/evidence/export.json.part docs/evidence/export.json
+
+# About two minutes on an idle machine: official pylibfranka against the simulated FR3, twenty times the same bits.
+evidence-franka: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[franka]'
+	$(BIN)/python -m dashpot.studies.franka > docs/evidence/franka.json.part
+	mv docs/evidence/franka.json.part docs/evidence/franka.json
 
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "dashpot needs Python 3.11 or newer; try: make PYTHON=python3.11")'

@@ -633,7 +633,7 @@ class Report:
 
 @dataclass
 class FrankaServer:
-    """Serve a simulated Franka Research 3 to libfranka and pylibfranka programs, its torque sensors real ones.
+    """Serve a simulated Franka Research 3 to libfranka and pylibfranka programs, with true torque sensors.
 
     The arm has elastic joints, friction and a payload; tau_J is what passes through each transmission. It
     takes torque control and stops with the robot's own reflexes. Connect to its address as to the robot
@@ -643,7 +643,8 @@ class FrankaServer:
     robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = "fr3"
     """Robot TOML of seven joints, or fr3."""
     payload: Annotated[float, tyro.conf.arg(metavar="KG")] = 0.0
-    """Mass on the flange [kg] that the robot does not know of; what a client declares (set_load), it carries."""
+    """Mass on the flange [kg] that the robot does not know of; what a client declares (set_load) it
+    carries."""
     offset: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X [Y Z]")] = (0.0,)
     """Its centre in the flange frame [m]: one number along x, or three."""
     payload_at: Annotated[

@@ -53,7 +53,8 @@ def pylibfranka() -> ModuleType:
             found = importlib.metadata.version("pylibfranka")
         except importlib.metadata.PackageNotFoundError:
             raise DashpotError(
-                "pylibfranka is not installed: pip install 'dashpot[franka]' (Linux, x86-64, Python 3.10 to 3.12)"
+                "pylibfranka is not installed: pip install 'dashpot[franka]' "
+                "(Linux on x86-64, Python 3.11 or 3.12)"
             ) from None
         raise DashpotError(f"pylibfranka {found} does not run here: {error}") from None
 
@@ -102,6 +103,8 @@ class FrankaHardware:
                     value=drive.torque_limit,
                 )
         self._franka = pylibfranka()
+        # Most of its exceptions are none of its FrankaException but plain runtime errors.
+        self._errors = (self._franka.FrankaException, RuntimeError)
         self.joints, self.host, self.reason = robot.joints, host, ""
         self._robot: Any = None
         self._control: Any = None
@@ -114,7 +117,7 @@ class FrankaHardware:
                 # A point, for all that gravity has to know.
                 self._robot.set_load(load.mass, load.position.tolist(), [0.0] * 9)
             self._robot.set_collision_behavior(*([CONTACT] * n for n in (7, 7, 6, 6)))
-        except self._franka.FrankaException as error:
+        except self._errors as error:
             raise DashpotError(f"{host}: {self._advice(error)}") from None
         self._torques = self._franka.Torques
 
@@ -148,13 +151,14 @@ class FrankaHardware:
             if not (apart < ENCODERS).all():
                 joint = int(np.argmax(np.nan_to_num(apart, nan=np.inf)))
                 raise DashpotError(
-                    f"{self.host}: joint {self.joints[joint]!r}: motor position {state.theta[joint]:.4g} rad and "
-                    f"link position {state.q[joint]:.4g} rad do not fit together; this system does not send theta"
+                    f"{self.host}: joint {self.joints[joint]!r}: motor position {state.theta[joint]:.4g} rad "
+                    f"and link position {state.q[joint]:.4g} rad do not fit together; this system does not "
+                    "send theta"
                 )
             self._control = self._robot.start_torque_control()
             take(self._control.readOnce()[0].tau_J_d, self._in_effect)
             self._control.writeOnce(self._torques([0.0] * JOINTS))
-        except franka.FrankaException as error:
+        except self._errors as error:
             self._control = None
             raise DashpotError(f"{self.host}: {self._advice(error)}") from None
 
@@ -162,7 +166,7 @@ class FrankaHardware:
         """Waits for the robot's next state; before `start` and after `apply_brake` it only looks."""
         try:
             state = self._robot.read_once() if self._control is None else self._control.readOnce()[0]
-        except self._franka.FrankaException as error:
+        except self._errors as error:
             self.reason, self._control = self._advice(error), None
             return False
         sample.time = state.time.to_sec()
@@ -180,7 +184,7 @@ class FrankaHardware:
             return
         try:
             self._control.writeOnce(self._torques(bounded(torque, self._in_effect, TORQUE, STEP)))
-        except self._franka.FrankaException as error:  # the robot's state says more, at the next read
+        except self._errors as error:  # the robot's state says more, at the next read
             self.reason = self._advice(error)
 
     def apply_brake(self) -> None:
@@ -197,7 +201,7 @@ class FrankaHardware:
             return
         try:
             self._robot.stop()
-        except self._franka.FrankaException as error:
+        except self._errors as error:
             self.reason = self.reason or self._advice(error)
         del control  # libfranka waits for the motion's end there
 

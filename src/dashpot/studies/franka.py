@@ -3,9 +3,9 @@
     python -m dashpot.studies.franka [PART ...] > docs/evidence/franka.json
 
 *repeat*: in lock-step a payload is picked up at 1 s and the encoder of a moving joint freezes at 2 s, twenty
-times in a row: the arm brakes and holds, no reflex is raised, and what was true has one hash. *free*: at 1 kHz
-of wall clock with all rules enforced, bad controllers are stopped and ours is not. *cost*: time added per cycle
-to a bare pylibfranka loop, and packets lost, in turns with it.
+times in a row: the arm brakes and holds, no reflex is raised, and what was true has one hash. *free*: at
+1 kHz of wall clock with all rules enforced, bad controllers are stopped and ours is not. *cost*: time added
+per cycle to a bare pylibfranka loop, and packets lost, in turns with it.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def digest(recording: Recording) -> str:
 
 
 def truth(recording: Recording, path: Trajectory) -> dict[str, float]:
-    """What the arm really did, worst joint; the clock begins one cycle before the motion, with zero torque."""
+    """What the arm really did, worst joint; the clock begins one cycle before the motion."""
     period, ticks = PERIOD, len(recording.time)
     first = 1  # the cycle of zero torque
     reference = path.position[np.clip(np.arange(ticks) - first, 0, path.ticks - 1)]

@@ -131,11 +131,16 @@ class Arm:
         self.begun = False
 
     def begin(self) -> None:
-        """Starts the clock of the script, for the first motion, and the recording; the arm still rests at home."""
+        """Starts the clock of the script and the recording, for the first motion; the arm still rests."""
         faults, changes = self._script
         self._rest(
             PlantLink(
-                self._plant, PERIOD, faults=faults, payload_changes=changes, seed=self._seed, record=self._record
+                self._plant,
+                PERIOD,
+                faults=faults,
+                payload_changes=changes,
+                seed=self._seed,
+                record=self._record,
             )
         )
         self.begun = True

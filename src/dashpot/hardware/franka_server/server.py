@@ -37,7 +37,9 @@ from dashpot.hardware.franka_server.messages import (
 from dashpot.hardware.franka_server.rules import Rules
 
 PATIENCE = 0.5  # [s] for which lock-step waits for an answer; libfranka itself gives up after 1 s
-REPEAT = 0.1  # [s] after which lock-step shows the state again to a client that has not begun to command
+REPEAT = (0.02, 0.4)
+# [s] after which lock-step shows the state again to a client that has not begun to command: libfranka takes
+# the first one as the news that the motion has started, and waits for the next
 SETTLING = 1000  # ticks for which lock-step lets the arm go on when a motion has ended; then it stands still
 LARGEST = 4096  # [bytes] of a message that a client may send
 
@@ -158,6 +160,7 @@ class _Session:
         self._connected = False
         self._move = 0  # id of the client's Move that has not been answered for good
         self._rules: Rules | None = None
+        self._shown = 0  # states in this motion
         self._begun = False  # the client has commanded something in this motion
         self._answered = False  # the last state published
         self._settling = 0
@@ -213,7 +216,8 @@ class _Session:
             self._wait(PERIOD)
             self._settle(1)
             return
-        patience = time.perf_counter() + (PATIENCE if self._begun else REPEAT)
+        patience = time.perf_counter() + (PATIENCE if self._begun else REPEAT[min(self._shown, 1)])
+        self._shown += 1
         while not self._answered and self._rules is not None:
             left = patience - time.perf_counter()
             if left <= 0 or self._server._stop:
@@ -223,7 +227,7 @@ class _Session:
             self._advance(self._rules)
 
     def _settle(self, ticks: int) -> None:
-        """In lock-step, so many of the ticks for which the arm goes on after a motion, as far as there are any."""
+        """In lock-step: so many of the ticks for which the arm goes on after a motion, if any are left."""
         for _ in range(min(ticks, self._settling)):
             self._settling -= 1
             self._arm.hold()
@@ -262,10 +266,8 @@ class _Session:
         ready, _, _ = select.select([self._tcp, self._udp, listener], [], [], timeout)
         if self._udp in ready:
             self._receive()
-        if listener in ready:  # the robot, too, has one client at a time
-            other, peer = listener.accept()
-            other.close()
-            self._server.say(f"refused {peer[0]}: the robot is taken")
+            if self._server._lock_step:  # its tick comes before what the client said after it
+                return
         if self._tcp in ready:
             data = self._tcp.recv(LARGEST)
             if not data:
@@ -280,6 +282,10 @@ class _Session:
                 payload = bytes(self._inbox[HEADER.size : size])
                 del self._inbox[:size]
                 self._obey(request, number, payload)
+        if listener in ready:  # the robot, too, has one client at a time
+            other, peer = listener.accept()
+            other.close()
+            self._server.say(f"refused {peer[0]}: the robot is taken")
 
     def _receive(self) -> None:
         """Takes one command; it counts if it answers the state published last."""
@@ -379,6 +385,7 @@ class _Session:
             False,
             number,
         )
+        self._shown = 0
         self._arm.release()
         self._mode(Mode.MOVE)
         self._state["reflex_reason"] = 0

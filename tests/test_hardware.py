@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from test_supervisor import H, guarded
 
 from dashpot import _native
+from dashpot.cli import main
 from dashpot.commands.run import standing
 from dashpot.controller import Controller, load_controller
 from dashpot.faults import Fault
@@ -90,7 +91,6 @@ def same(a: Recording, b: Recording, ticks: int) -> None:
     ("robot", "controller", "faults", "changes"),
     [
         ("fr3", "fr3", (), (PayloadChange(0.2, Payload(2.0)),)),
-        ("k807", "k807-wrist", (), ()),
         ("k807", "k807-wrist", (Fault("encoder_frozen", 0.3, joint="joint6"),), ()),
         (
             "fr3",
@@ -103,7 +103,7 @@ def same(a: Recording, b: Recording, ticks: int) -> None:
         ),
         ("k807", "k807-wrist", (Fault("samples_late", 0.1, end=0.4, value=2.0),), ()),
     ],
-    ids=["payload", "partly controlled", "frozen encoder", "no torque", "late samples"],
+    ids=["payload", "frozen encoder", "no torque", "late samples"],
 )
 def test_lock_step_has_the_bits_of_simulate(tmp_path, robot, controller, faults, changes):
     bench = Bench(robot, controller, faults=faults, payload_changes=changes, seed=7)
@@ -112,25 +112,13 @@ def test_lock_step_has_the_bits_of_simulate(tmp_path, robot, controller, faults,
     # A run hands an arm that has come to rest to its brakes; simulate goes on to watch it.
     parked = [d.tick for d in outcome.decisions if d.reason == "parked"]
     ticks = min([len(whole.time), recorded.settings["watchdog_at"], *parked])
-    assert ticks > 300 or config_period(bench) > 1e-3
+    assert ticks * bench.scenario.controller.period > 0.3
     same(whole, recorded, ticks)
     said = [(d["tick"], d["reason"]) for d in whole.settings["supervisor"]["decisions"] if d["tick"] < ticks]
     assert [(d.tick, d.reason) for d in outcome.decisions if d.tick < ticks] == said
     assert outcome.state == "safe"
     assert outcome.statistics["late"] == outcome.statistics["same"] == 0
     assert outcome.end == ("supervisor" if said else "done")
-
-
-def config_period(bench: Bench) -> float:
-    return bench.scenario.controller.period
-
-
-def test_the_same_run_twice_has_the_same_bits(tmp_path):
-    recorded = []
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        recorded.append(Bench("k807", "k807-wrist", seed=5).control(tmp_path / name)[1])
-    same(*recorded, len(recorded[0].time))
 
 
 # --- the cycle ---------------------------------------------------------------------------------------------
@@ -341,10 +329,9 @@ def lost(arm):
     ("call", "how", "end", "reason"),
     [
         ("read", broken, "failed", "ValueError: the bus is down"),
-        ("write", broken, "failed", "ValueError: the bus is down"),
         ("read", lost, "robot", "emergency stop pressed"),
     ],
-    ids=["read raises", "write raises", "read is False"],
+    ids=["read raises", "read is False"],
 )
 def test_a_failing_adapter_ends_with_closed_brakes(tmp_path, call, how, end, reason):
     bench = Bench("k807", "k807-wrist", after=0.6)
@@ -413,31 +400,29 @@ def test_the_watchdog_tells_a_host_that_was_away(tmp_path):
     arm.stop()
 
 
-COMMAND = (sys.executable, "-m", "dashpot.cli", "run", "k807", "k807-wrist", "--uncertified")
+LONG = (
+    "run",
+    "k807",
+    "k807-wrist",
+    "--uncertified",
+    "--lock-step",
+)  # hangs on nothing else this machine does
 
 
-def started(tmp_path: Path, *arguments: str) -> tuple[subprocess.Popen[str], Path]:
-    """A run that has begun to move, and where its arm will leave its recording."""
-    record, log = tmp_path / "arm.npz", tmp_path / "run.mcap"
-    motion = tmp_path / "motion.csv"
-    ticks = np.arange(0, 8.0, 0.01)
+def long_run(tmp_path: Path) -> tuple[list[str], Path, Path]:
+    """Arguments of a run in whose midst the arm moves, its log, and the arm's own recording."""
+    record, log, motion = tmp_path / "arm.npz", tmp_path / "run.mcap", tmp_path / "motion.csv"
+    ticks = np.arange(0, 300.0, 0.1)
     wave = 0.3 * (1 - np.cos(2 * np.pi * 0.25 * ticks))
     rows = [f"{t:.2f},{w:.6f}" for t, w in zip(ticks, wave, strict=True)]
     motion.write_text("\n".join(["time,joint6/position", *rows]) + "\n")
-    process = subprocess.Popen(
-        [*COMMAND, "--motion", motion, "--record", record, "--log", log, "--samples", "20", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        cwd=tmp_path,
-        start_new_session=True,
-    )
+    return [*LONG, *map(str, ("--motion", motion, "--record", record, "--log", log))], log, record
+
+
+def until_it_moves(log: Path) -> None:
     deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and (not log.exists() or log.stat().st_size < 6000):
-        assert process.poll() is None, process.communicate()[0]
-        time.sleep(0.05)
-    time.sleep(1.5)  # past the second at rest
-    return process, record
+    while time.monotonic() < deadline and (not log.exists() or log.stat().st_size < 200_000):
+        time.sleep(0.02)
 
 
 def left(record: Path) -> Recording:
@@ -447,16 +432,25 @@ def left(record: Path) -> Recording:
     return Recording.load(record)
 
 
-def test_ctrl_c_brakes_to_rest(tmp_path):
-    process, record = started(tmp_path)
-    process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=60)[0]
-    assert process.returncode == 130, said
+def test_ctrl_c_brakes_to_rest(tmp_path, capsys):
+    arguments, log, record = long_run(tmp_path)
+
+    def press() -> None:
+        until_it_moves(log)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=press)
+    thread.start()
+    with pytest.raises(SystemExit) as left_with:
+        main(arguments)
+    thread.join()
+    said = capsys.readouterr().out
+    assert left_with.value.code == 130, said
     assert "the operator asked for a stop" in said
     assert "braked to rest, motors off, mechanical brakes closed" in said
     recorded = left(record)
     resting(recorded)
-    assert np.nanmax(np.abs(recorded.velocity[:, 5])) > 0.05  # it did move
+    assert np.nanmax(np.abs(recorded.velocity[:, 5])) > 0.1  # it did move
 
 
 @pytest.mark.parametrize(
@@ -491,13 +485,18 @@ def test_a_signal_asks_for_a_stop_and_a_second_one_does_not_wait(tmp_path, numbe
 
 
 def test_a_killed_host_leaves_an_arm_at_rest(tmp_path):
-    process, record = started(tmp_path)
-    os.kill(process.pid, signal.SIGKILL)
-    process.communicate(timeout=60)
+    arguments, log, record = long_run(tmp_path)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dashpot.cli", *arguments], stdout=subprocess.DEVNULL, start_new_session=True
+    )
+    until_it_moves(log)
+    process.kill()
+    process.wait()
     recorded = left(record)
     assert not recorded.settings["stopped"]  # nobody said stop
     tripped = recorded.settings["watchdog_at"]
-    assert np.abs(recorded.in_effect[tripped - 1]).max() > 0.1
+    assert np.abs(recorded.in_effect[tripped - 1]).max() > 0.1  # until then the last torque was held
+    assert (recorded.in_effect[tripped - 19 : tripped, 4:] == recorded.in_effect[tripped - 1, 4:]).all()
     assert (
         recorded.in_effect[tripped + 1 :][np.isfinite(recorded.in_effect[tripped + 1 :]).all(1)][:, 4:] == 0
     ).all()

@@ -11,6 +11,7 @@ from __future__ import annotations
 import errno
 import select
 import socket
+import struct
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -53,7 +54,7 @@ class Tally:
         cycles: Ticks at which a client was in control.
         lost: Of these, without an answer in time.
         longest: Most lost in a row.
-        late: Ticks that the server itself was late for by more than a tenth of a period; the next comes later.
+        late: Ticks for which the server itself was late by a tenth of a period; the next one comes later.
         motions: Started.
         reflexes: With which they ended, as ``"name at 1.234 s"``.
         before: Cycles and lost packets of the motions before this one.
@@ -310,8 +311,8 @@ class _Session:
     def _obey(self, request: int, number: int, payload: bytes) -> None:
         try:
             kind = Request(request)
-            values = PAYLOADS[kind].unpack(payload)
-        except (ValueError, KeyError) as error:
+            values = PAYLOADS[kind].unpack_from(payload)
+        except (ValueError, struct.error) as error:
             self._server.say(f"client asked for {request} with {len(payload)} bytes: not understood, {error}")
             raise _GoneError from None
         if kind is Request.CONNECT:

@@ -271,7 +271,18 @@ def threads(rows: Rows) -> None:
     rows.add("threads_speedup", "two threads: times faster", best["one"] / best["two"])
 
 
-_PARTS = (closed_loop, controller_step, allocation, threads, certificate, design, campaign, log, realtime.run)
+_PARTS = (
+    closed_loop,
+    controller_step,
+    allocation,
+    threads,
+    certificate,
+    design,
+    campaign,
+    log,
+    realtime.run,
+    realtime.franka,
+)
 PARTS = {part.__name__: part for part in _PARTS}
 
 

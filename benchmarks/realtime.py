@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import time
 
 import numpy as np
@@ -18,6 +19,7 @@ from dashpot.hardware.sim import SimHardware
 from dashpot.plant import build
 from dashpot.robot import Robot
 from dashpot.simulate import Scenario
+from dashpot.studies.franka import take_turns
 from dashpot.supervisor import Supervisor, SupervisorSettings
 from dashpot.trajectory import hold
 
@@ -101,3 +103,19 @@ def run(rows: Rows) -> None:
             "%",
             note=late,
         )
+
+
+def franka(rows: Rows) -> None:
+    """Official pylibfranka and a simulated FR3 at 1 kHz, bare and with everything, in turns."""
+    if importlib.util.find_spec("pylibfranka") is None:
+        rows.more.append("franka: not measured, needs pip install 'dashpot[franka]'")
+        return
+    found = {name: np.array(values) for name, values in take_turns(SETS, 3000).items()}
+    rows.section("FR3 through pylibfranka at 1 kHz", "processor time per cycle; packets of all cycles")
+    rows.add("franka_bare", "bare readOnce, writeOnce", 1e6 * found["bare"], "us")
+    rows.add("franka_ours", "ours", 1e6 * found["ours"], "us")
+    added = (found["ours"] - found["bare"]) / 1e-3
+    rows.add("franka_added", "added, of the cycle", added, "x", most=0.1)
+    rows.add("franka_lost_bare", "packets lost, bare", found["lost_bare"])
+    lost = found["lost_ours"] - found["lost_bare"]
+    rows.add("franka_lost_more", "ours less bare", lost, "x", most=0.0, note="the machine's load")

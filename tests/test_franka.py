@@ -140,7 +140,7 @@ def test_gravity_is_what_the_robot_adds(robot, hardware):
     state = hardware._robot.read_once()
     own = gravity.torque(np.array(state.q))
     assert hardware._gravity(state) == pytest.approx(own, abs=2e-4)  # single precision on the wire
-    assert pytest.approx(gravity.pose, abs=1e-5) == state.O_T_EE
+    assert np.array(state.O_T_EE) == pytest.approx(gravity.pose, abs=1e-5)
     # What is left of the sensors is the payload that nobody has declared.
     assert abs(sample.torque[0]) < 0.3
     assert sample.torque[1] == pytest.approx(-2.0 * 9.81 * gravity.pose[12], abs=0.3)

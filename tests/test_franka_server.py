@@ -44,7 +44,7 @@ def test_messages_are_packed_as_libfranka_packs_them():
     assert (STATE.itemsize, COMMAND.itemsize) == (1377, 371)
     sizes = {
         Request.CONNECT: 4,
-        Request.MOVE: 113,
+        Request.MOVE: 56,
         Request.SET_COLLISION_BEHAVIOR: 416,
         Request.SET_LOAD: 104,
     }

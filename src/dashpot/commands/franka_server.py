@@ -100,7 +100,7 @@ def _show(console: Console, server: Server) -> None:
     table = bare_table("served")
     for name in ("motions", "cycles", "lost packets", "most in a row", "server late"):
         table.add_column(name, justify="right")
-    table.add_column("reflexes")
+    table.add_column("reflexes", overflow="fold")
     share = f" ({100 * tally.lost / tally.cycles:.2g} %)" if tally.lost else ""
     cells = (tally.motions, tally.cycles, f"{tally.lost}{share}", tally.longest, tally.late)
     table.add_row(*(str(cell) for cell in cells), escape("; ".join(tally.reflexes)) or "none")

@@ -44,8 +44,7 @@ class Request(enum.IntEnum):
 
 PAYLOADS = {
     Request.CONNECT: struct.Struct("<HH"),  # version, UDP port
-    # Controller, motion generator, deviations of path and goal, asynchronous, largest speeds
-    Request.MOVE: struct.Struct("<II6d?7d"),
+    Request.MOVE: struct.Struct("<II6d"),  # controller, motion generator, deviations of path and goal
     Request.STOP_MOVE: struct.Struct(""),
     Request.SET_COLLISION_BEHAVIOR: struct.Struct("<28d24d"),  # torque, force: lower, upper; moving, nominal
     Request.SET_JOINT_IMPEDANCE: struct.Struct("<7d"),
@@ -57,7 +56,7 @@ PAYLOADS = {
     Request.AUTOMATIC_ERROR_RECOVERY: struct.Struct(""),
     Request.GET_ROBOT_MODEL: struct.Struct(""),
 }
-"""Payload of each request."""
+"""Payload of each request. Newer libraries append to it: `Request.MOVE` has 57 bytes more in libfranka 0.21."""
 
 
 class MoveStatus(enum.IntEnum):

@@ -25,7 +25,7 @@ from dashpot.hardware.ring import COLUMNS, Ring
 from dashpot.supervisor import STATES, Decision, decision
 
 if TYPE_CHECKING:
-    from dashpot.logfiles.mcapwriter import Level
+    from dashpot.logfiles.messages import Level
 
 ROUND = 0.05  # [s] between two looks at the ring
 SHOWN = 0.2  # [s] between two status lines

@@ -75,6 +75,8 @@ class Hardware(Protocol):
         paced: True: `read` itself waits for the robot's next cycle. False: the loop's clock paces, and
             `read` takes the newest sample there is.
         reason: Why the robot ended the motion, in words; "" while it has not.
+
+    A robot that adds gravity to the torques it is sent says ``carries_weight = True`` (`carries_weight`).
     """
 
     joints: tuple[str, ...]

@@ -247,7 +247,7 @@ def bare(host: str, cycles: int) -> float:
 
 
 def take_turns(rounds: int, cycles: int) -> dict[str, list[float]]:
-    """Bare and ours at 1 kHz on one robot, per round: processor time of a cycle [s], share of packets lost."""
+    """Bare and ours at 1 kHz on one robot, per round: processor time of a cycle [s]; packets lost, share."""
     found: dict[str, list[float]] = {"bare": [], "ours": [], "lost_bare": [], "lost_ours": []}
     with serve("--forgiving") as served:
         for _ in range(rounds):

@@ -56,7 +56,7 @@ PAYLOADS = {
     Request.AUTOMATIC_ERROR_RECOVERY: struct.Struct(""),
     Request.GET_ROBOT_MODEL: struct.Struct(""),
 }
-"""Payload of each request. Newer libraries append to it: `Request.MOVE` has 57 bytes more in libfranka 0.21."""
+"""Payload of each request. Newer libraries append: `Request.MOVE` has 57 bytes more in libfranka 0.21."""
 
 
 class MoveStatus(enum.IntEnum):

@@ -41,7 +41,7 @@ PATIENCE = 0.5  # [s] for which lock-step waits for an answer; libfranka itself 
 REPEAT = (0.02, 0.4)
 # [s] after which lock-step shows the state again to a client that has not begun to command: libfranka takes
 # the first one as the news that the motion has started, and waits for the next
-ANSWER = 0.9e-3  # [s] that a client has at least to answer a state; 1 ms if the server is punctual
+ANSWER = 0.8e-3  # [s] that a client has at least to answer a state; 1 ms if the server is punctual
 SETTLING = 1000  # ticks for which lock-step lets the arm go on when a motion has ended; then it stands still
 LARGEST = 4096  # [bytes] of a message that a client may send
 
@@ -54,7 +54,7 @@ class Tally:
         cycles: Ticks at which a client was in control.
         lost: Of these, without an answer in time.
         longest: Most lost in a row.
-        late: Ticks for which the server itself was late by a tenth of a period; the next one comes later.
+        late: Ticks for which the server itself was late by a fifth of a period; the next one comes later.
         motions: Started.
         reflexes: With which they ended, as ``"name at 1.234 s"``.
         before: Cycles and lost packets of the motions before this one.
@@ -195,21 +195,31 @@ class _Session:
     # --- ticks --------------------------------------------------------------------------------------------
 
     def _free_running(self) -> None:
-        """One millisecond: publish, listen until the next one is due, then move on."""
+        """One millisecond: publish, move on as soon as that is answered, listen until the next one is due."""
         self._publish()
         self._due += PERIOD
         soonest = time.perf_counter() + ANSWER
         if self._due < soonest:  # this process was late, which must not cost the client its time to answer
             self._server.tally.late += 1
             self._due = soonest
+        moved = False
         while (left := self._due - time.perf_counter()) > 0:
-            self._wait(left)
-        self._wait(0.0)  # an answer that is there counts, even if this process has slept over it
+            if not moved and (self._answered or self._rules is None):
+                moved = self._move_on()
+            else:
+                self._wait(left)
+        if not moved:
+            self._wait(0.0)  # an answer that is there counts, even if this process has slept over it
+            self._move_on()
+
+    def _move_on(self) -> bool:
+        """Lets a millisecond pass for the arm."""
         if self._rules is None:
             self._arm.hold()
             self._arm.sense()
         else:
             self._advance(self._rules)
+        return True
 
     def _lock_step(self) -> None:
         """One answer of the client, or some time in which it has not begun to command."""
@@ -296,7 +306,9 @@ class _Session:
         except ConnectionRefusedError:
             raise _GoneError from None
         rules, command = self._rules, self._datagram
-        if rules is None or size != COMMAND.itemsize or command["message_id"] != self._state["message_id"]:
+        if rules is None or size != COMMAND.itemsize or self._answered:
+            return
+        if command["message_id"] != self._state["message_id"]:
             return
         if command["torque_command_finished"]:
             self._reply(Request.MOVE, self._move, MoveStatus.SUCCESS)

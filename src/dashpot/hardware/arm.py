@@ -63,7 +63,10 @@ def run(file: int, scenario: Scenario, settings: LinkSettings) -> None:
 def main() -> None:
     """Entry point."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    scenario, settings = pickle.load(sys.stdin.buffer)
+    try:
+        scenario, settings = pickle.load(sys.stdin.buffer)
+    except (EOFError, pickle.UnpicklingError):  # whoever wanted an arm is gone
+        return
     gc.disable()
     with suppress(OSError):  # a robot's own computer is punctual; here it is if permitted
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(85))

@@ -59,7 +59,8 @@ def franka_server(options: FrankaServer) -> int:
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: server.stop())
-    pace = "in lock-step with its client" if options.lock_step else f"at 1 kHz{_hurry(options)}"
+    hurried = _hurry()  # in lock-step, too: libfranka gives up after a second without a state
+    pace = "in lock-step with its client" if options.lock_step else f"at 1 kHz{hurried}"
     host, port = server.address
     load = f"{options.payload:g} kg" if options.payload else "nothing"
     say(f"{arm.robot.name} with {load} on its flange, listening at {host}:{port}, {pace}; Ctrl-C ends")
@@ -77,7 +78,7 @@ def franka_server(options: FrankaServer) -> int:
     return 0
 
 
-def _hurry(options: FrankaServer) -> str:
+def _hurry() -> str:
     """Asks for real-time scheduling; says so where it is refused."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))

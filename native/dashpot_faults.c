@@ -61,6 +61,7 @@ static void heal(const dp_faults *f, dp_fault_state *s, dp_drive *d)
 {
     d->torque_limit = s->torque_limit;
     d->servo_limit = s->servo_limit;
+    d->motor_limit = INFINITY;
     d->inner_gain = s->inner_gain;
     d->sensor_gain = s->sensor_gain;
     d->sensor_bias = s->sensor_bias;
@@ -98,6 +99,7 @@ static void apply(dp_faults *f, dp_fault *e, const dp_run_args *a, int tick)
     case DP_FAULT_SATURATION: /* 0 times an infinite limit must be 0 */
         d->torque_limit = v > 0.0 ? v * d->torque_limit : 0.0;
         d->servo_limit = v > 0.0 ? v * d->servo_limit : 0.0;
+        d->motor_limit = d->torque_limit; /* a weak motor carries no more weight than this either */
         break;
     case DP_FAULT_BROWNOUT: f->powered = 0; break;
     case DP_FAULT_CONTACT:
@@ -135,7 +137,7 @@ void dp_faults_tick(dp_faults *f, const dp_run_args *a, int tick)
         s->off |= !f->powered;
         f->acting |= s->brake > 0.0 || s->short_damping > 0.0;
         if (s->off) {
-            d->torque_limit = d->servo_limit = d->inner_gain = 0.0;
+            d->torque_limit = d->servo_limit = d->motor_limit = d->inner_gain = 0.0;
         } else if (s->was_off) { /* the inner loop starts afresh */
             d->inner_torque = d->tau;
             d->inner_correction = 0.0;
@@ -144,11 +146,10 @@ void dp_faults_tick(dp_faults *f, const dp_run_args *a, int tick)
     }
 }
 
-void dp_faults_sample(dp_faults *f, int j, int tick, double period, double *torque, double *position,
-                      double *velocity)
+void dp_faults_encoder(dp_faults *f, int j, double period, double *position, double *velocity)
 {
     dp_fault_state *s = &f->state[j];
-    double q = *position, w = *velocity, tau = *torque;
+    double q = *position, w = *velocity;
     if (!s->started)
         s->jump_before = s->jump;
     if (s->jump != 0.0)
@@ -161,17 +162,28 @@ void dp_faults_sample(dp_faults *f, int j, int tick, double period, double *torq
     } else if (s->was_frozen) {
         w = (q - s->position) / period;
     }
-    if (s->stuck && s->started)
-        tau = s->torque;
     s->jump_before = s->jump;
     s->was_frozen = s->frozen;
     s->position = q;
-    s->torque = tau;
+    *position = q;
+    *velocity = w;
+}
+
+int dp_faults_encoder_lost(const dp_faults *f, int j) { return f->state[j].lost; }
+
+void dp_faults_link(dp_faults *f, int j, int tick, double *torque, double *position, double *velocity,
+                    double *gravity)
+{
+    dp_fault_state *s = &f->state[j];
+    if (s->stuck && s->started)
+        *torque = s->torque;
+    s->torque = *torque;
 
     dp_packet *now = &s->sent[tick % (DP_MAX_LATE + 1)];
-    now->torque = s->nan ? NAN : tau;
-    now->position = s->lost ? NAN : q;
-    now->velocity = s->lost ? NAN : w;
+    now->torque = s->nan ? NAN : *torque;
+    now->position = s->lost ? NAN : *position;
+    now->velocity = s->lost ? NAN : *velocity;
+    now->gravity = *gravity;
     now->encoder = !s->lost;
     if (!s->started) {
         s->source = tick;
@@ -187,6 +199,7 @@ void dp_faults_sample(dp_faults *f, int j, int tick, double period, double *torq
     *torque = s->seen.torque;
     *position = s->seen.position;
     *velocity = s->seen.velocity;
+    *gravity = s->seen.gravity;
     f->torque_age[j] = tick - s->source;
     f->encoder_age[j] = tick - s->encoder_source;
 }

@@ -57,7 +57,7 @@ typedef struct {
 } dp_fault_drive;
 
 typedef struct {
-    double torque, position, velocity;
+    double torque, position, velocity, gravity;
     int encoder; /* 0: lost */
 } dp_packet;
 
@@ -96,9 +96,16 @@ void dp_faults_begin(dp_faults *f, const dp_drive *drive);
 /* Before the samples of a tick are taken: starts and ends faults, and sets the drives' parameters. */
 void dp_faults_tick(dp_faults *f, const dp_run_args *a, int tick);
 
-/* Turns the sample of drive j into what its controller sees; sets the ages. */
-void dp_faults_sample(dp_faults *f, int j, int tick, double period, double *torque, double *position,
-                      double *velocity);
+/* Turns what the encoder of drive j says into what it says when it jumps or freezes. */
+void dp_faults_encoder(dp_faults *f, int j, double period, double *position, double *velocity);
+
+/* Whether that encoder says nothing at this tick. */
+int dp_faults_encoder_lost(const dp_faults *f, int j);
+
+/* Turns the sample of drive j, after dp_faults_encoder, into what its controller sees; sets the ages. The gravity that
+ * the robot compensates travels with the sample. */
+void dp_faults_link(dp_faults *f, int j, int tick, double *torque, double *position, double *velocity,
+                    double *gravity);
 
 /* Adds contact, short circuit and brake to the forces of the coming physics step; needed while f->acting. */
 void dp_faults_forces(dp_faults *f, const dp_run_args *a);

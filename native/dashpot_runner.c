@@ -1,6 +1,7 @@
 #include "dashpot_runner.h"
 
 #include "dashpot_faults.h"
+#include "dashpot_gravity.h"
 
 #include <math.h>
 #include <string.h>
@@ -92,6 +93,7 @@ static void actuate(dp_drive *d, const dp_run_args *a, const double *reference, 
     }
     torque = clamp(torque, d->torque_limit);
     d->asked = torque;
+    torque = clamp(torque + d->gravity, d->motor_limit);
     if (d->inner_gain > 0.0) {
         d->inner_torque = d->tau + d->inner_pole * (d->inner_torque - d->tau);
         if (step % d->inner_steps == 0)
@@ -141,6 +143,8 @@ static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in,
     const double period = a->dt * a->steps_per_tick;
     dp_faults *f = a->faults;
     int torque_age[DP_MAX_JOINTS] = {0}, encoder_age[DP_MAX_JOINTS] = {0}, powered = 1;
+    double torque[DP_MAX_JOINTS], position[DP_MAX_JOINTS], velocity[DP_MAX_JOINTS], known[DP_MAX_JOINTS];
+    double gravity[DP_MAX_JOINTS] = {0};
     if (f) {
         dp_faults_tick(f, a, tick);
         powered = f->powered;
@@ -153,26 +157,41 @@ static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in,
             w = tick > 0 ? (q - d->encoder) / period : w;
         }
         d->encoder = q;
-        double tau = sample(d, tick > 0 ? a->steps_per_tick : 0);
+        position[j] = q;
+        velocity[j] = w;
+        torque[j] = sample(d, tick > 0 ? a->steps_per_tick : 0);
+        if (f && d->control >= 0)
+            dp_faults_encoder(f, j, period, &position[j], &velocity[j]);
+        if (!(f && d->control >= 0 && dp_faults_encoder_lost(f, j))) /* without an encoder the robot goes on as it was */
+            d->known = position[j];
+        known[j] = d->known;
+    }
+    if (a->gravity)
+        dp_gravity_torque(a->gravity, known, gravity);
+    for (int j = 0; j < a->drives; j++) {
+        dp_drive *d = &a->drive[j];
         const int i = d->control;
+        d->gravity = gravity[j];
         if (f && i >= 0) {
-            dp_faults_sample(f, j, tick, period, &tau, &q, &w);
+            dp_faults_link(f, j, tick, &torque[j], &position[j], &velocity[j], &gravity[j]);
             torque_age[i] = f->torque_age[j];
             encoder_age[i] = f->encoder_age[j];
         }
         if (a->record) {
-            record(a, tick, j, DP_REC_POSITION, q);
-            record(a, tick, j, DP_REC_VELOCITY, w);
+            record(a, tick, j, DP_REC_POSITION, position[j]);
+            record(a, tick, j, DP_REC_VELOCITY, velocity[j]);
             record(a, tick, j, DP_REC_LINK_POSITION, a->qpos[d->rotor_qpos] + a->qpos[d->spring_qpos]);
             record(a, tick, j, DP_REC_LINK_VELOCITY, a->qvel[d->rotor_dof] + a->qvel[d->spring_dof]);
             record(a, tick, j, DP_REC_TORQUE, d->tau);
-            record(a, tick, j, DP_REC_SAMPLE, tau);
+            record(a, tick, j, DP_REC_SAMPLE, torque[j] - gravity[j]);
         }
         if (i < 0)
             continue;
-        in[DP_IN_TORQUE * n + i] = tau;
-        in[DP_IN_POSITION * n + i] = q;
-        in[DP_IN_VELOCITY * n + i] = w;
+        if (a->supervisor_gravity) /* it checks the sensor as it is, and takes the rest off itself */
+            a->supervisor_gravity[i] = gravity[j];
+        in[DP_IN_TORQUE * n + i] = a->supervisor_gravity ? torque[j] : torque[j] - gravity[j];
+        in[DP_IN_POSITION * n + i] = position[j];
+        in[DP_IN_VELOCITY * n + i] = velocity[j];
         for (int k = 0; k < 4; k++)
             in[(DP_IN_POSITION_REF + k) * n + i] = a->reference ? *row(a->reference, a, k, tick, j) : 0.0;
     }
@@ -223,7 +242,8 @@ static void begin(const dp_controller *c, dp_run_args *a)
         d->filter_x[0] = d->measured_tau = d->inner_torque = d->tau = tau;
         d->filter_x[1] = d->friction_z = d->hysteresis_z = d->sum = d->integral = d->encoder = 0.0;
         d->spare = NAN;
-        d->friction = d->inner_correction = 0.0;
+        d->friction = d->inner_correction = d->gravity = 0.0;
+        d->known = a->qpos[d->rotor_qpos];
         d->motor = d->asked = d->control >= 0 ? c->state[d->control].in_effect : 0.0;
         for (int i = 0; i < DP_MAX_DELAY; i++)
             d->delay[i] = tau;

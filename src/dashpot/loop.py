@@ -19,7 +19,7 @@ from dashpot.equilibrium import settle
 from dashpot.errors import DashpotError, InputError
 from dashpot.plant import Plant, with_payload, with_timestep
 from dashpot.recording import CHANNELS, Recording
-from dashpot.sampled import BLOCK_DTYPE
+from dashpot.sampled import BLOCK_DTYPE, Floats
 from dashpot.script import native_faults, tick_of
 from dashpot.supervisor import STATES, decisions, native_guard
 from dashpot.thresholds import watch_records
@@ -33,14 +33,48 @@ _KINDS = {"mode": 0, "position_loop": 1, "warm_start": 2}
 
 
 @cache
-def _mj_step() -> int:
-    """Address of ``mj_step`` in the library the mujoco package loaded."""
+def _engine(function: str) -> int:
+    """Address of a function in the library the mujoco package loaded."""
     folder = Path(mujoco.__file__).parent
     for path in sorted([*folder.glob("libmujoco*"), *folder.glob("mujoco.dll")]):
-        address = ctypes.cast(ctypes.CDLL(str(path)).mj_step, ctypes.c_void_p).value
+        address = ctypes.cast(getattr(ctypes.CDLL(str(path)), function), ctypes.c_void_p).value
         if address:
             return address
-    raise DashpotError(f"{folder}: no MuJoCo library with mj_step; reinstall mujoco")
+    raise DashpotError(f"{folder}: no MuJoCo library with {function}; reinstall mujoco")
+
+
+class _Gravity:
+    """A robot's own gravity compensation: what its bare links weigh at the encoders' angles.
+
+    Attributes:
+        native: As the native loop wants it.
+    """
+
+    def __init__(self, bare: Plant) -> None:
+        if bare.model.body_gravcomp.any():
+            raise InputError(
+                "is in the model already, as gravcomp of bodies; take it out of one of them",
+                file=bare.robot.file,
+                quantity="gravity_compensation",
+            )
+        self._model, self._data = bare.model, mujoco.MjData(bare.model)
+        mujoco.mj_forward(self._model, self._data)  # at rest; only angles change from here on
+        addresses = (_engine(name) for name in ("mj_kinematics", "mj_comPos", "mj_rne"))
+        self.native = _native.Gravity(
+            *addresses,
+            self._model._address,
+            self._data._address,
+            self._data.qpos,
+            bare.rotor_qpos,
+            bare.rotor_dof,
+            self._model.nv,
+        )
+
+    def torque(self, position: Floats) -> Floats:
+        """That holds the bare arm at rest at rotor angles (n,) [rad]: (n,) [N m]."""
+        out = np.empty(len(position))
+        self.native.torque(np.ascontiguousarray(position, float), out)
+        return out
 
 
 def _events(scenario: Scenario) -> NDArray[np.void]:
@@ -63,7 +97,14 @@ def _events(scenario: Scenario) -> NDArray[np.void]:
     return np.array(rows, EVENT_DTYPE)
 
 
-def _start(scenario: Scenario, plant: Plant, core: Any, events: NDArray[np.void], data: Any) -> None:
+def _start(
+    scenario: Scenario,
+    plant: Plant,
+    core: Any,
+    events: NDArray[np.void],
+    data: Any,
+    gravity: _Gravity | None,
+) -> None:
     """Puts the arm at rest in equilibrium with the first reference; without one, at it with slack springs."""
     controller, reference = scenario.controller, scenario.trajectory.position[0]
     joints = controller.joints if controller else ()
@@ -76,7 +117,8 @@ def _start(scenario: Scenario, plant: Plant, core: Any, events: NDArray[np.void]
     if "off" not in modes.values():
         bypass = [j for j, mode in modes.items() if mode == "bypass"]
         torque = None if scenario.trajectory.torque is None else scenario.trajectory.torque[0]
-        found = settle(plant, joints, blocks, reference, bypass, torque)
+        carried = None if gravity is None else gravity.torque
+        found = settle(plant, joints, blocks, reference, bypass, torque, carried)
     if found is None:
         data.qpos[plant.rotor_qpos] = reference
         return
@@ -193,7 +235,9 @@ class Loop:
             controlled = controller.joints if controller else ()
             self.faults = native_faults(scenario.faults, plant, controlled, trajectory, scenario.seed)
         self._model, self._data = plant.model, mujoco.MjData(plant.model)
-        _start(scenario, plant, self._core, self._events, self._data)
+        bare = with_payload(plant, None, trajectory.period) if scenario.carried else None
+        self._gravity = None if bare is None else _Gravity(bare)
+        _start(scenario, plant, self._core, self._events, self._data, self._gravity)
         mujoco.mj_forward(self._model, self._data)
         torque = np.zeros((self.ticks, n)) if trajectory.torque is None else trajectory.torque
         self._reference = np.stack(
@@ -247,7 +291,7 @@ class Loop:
             self._core,
             self._drives.view(np.uint8),
             self._events.view(np.uint8),
-            _mj_step(),
+            _engine("mj_step"),
             self._model._address,
             data._address,
             data.qpos,
@@ -264,6 +308,7 @@ class Loop:
             self.tick,
             until,
             self._guard,
+            None if self._gravity is None else self._gravity.native,
         )
         self.tick = until
         if outcome:
@@ -280,6 +325,8 @@ class Loop:
             "seed": scenario.seed,
             "label": scenario.label,
         }
+        if scenario.carried:
+            settings["gravity_compensation"] = True
         if scenario.faults:
             settings["faults"] = [fault.table() for fault in scenario.faults]
         if scenario.payload_changes:

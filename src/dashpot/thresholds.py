@@ -93,7 +93,7 @@ class SupervisorSettings:
 
 
 _WATCH: tuple[str, ...] = ("inertia", "viscous", "inertia_error", "viscous_error", "torque_error")
-_WATCH += ("torque_mid", "torque_lag", "allowance", "noise", "torque_range", "torque_rate", "torque_jump")
+_WATCH += ("torque_mid", "torque_lag", "allowance", "noise", "noise_tick", "torque_range", "torque_rate", "torque_jump")
 _WATCH += (
     "lower",
     "upper",
@@ -220,6 +220,7 @@ def watch_record(
     record["torque_lag"] = lag / period
     record["allowance"] = friction + bias
     record["noise"] = sigmas * noise * math.sqrt(gain / (2 - gain)) + 2 * gain * m * resolution / period**2
+    record["noise_tick"] = sigmas * noise + 2 * m * resolution / period**2
     record["torque_range"] = s.torque_range * drive.torque_limit
     record["torque_rate"] = 2 * s.speed_limit * k * period
     record["torque_jump"] = 4 * s.speed_limit * c + 2 * sigmas * noise + drive.hysteresis

@@ -195,6 +195,7 @@ class Campaign:
             faults=script.faults_of(config),
             payload_changes=script.changes(setting.payload, spec.file),
             supervisor=spec.supervisor,
+            gravity_compensation=spec.gravity_compensation,
         )
 
     def _plant(self, values: Mapping[str, Any], payload: Payload, period: float) -> Plant:

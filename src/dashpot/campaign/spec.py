@@ -28,6 +28,7 @@ CHUNK = 16  # scenarios at most that one worker runs before they are kept, unles
 CHUNKS = 32  # a small campaign is cut into this many, so that every core has work
 KEYS = {
     *("robot", "controller", "motion", "duration", "lead_in", "amplitude", "release", "tap", "supervisor"),
+    "gravity_compensation",
     *("sample", "count", "seed", "chunk", "axes", "poses", "requirements"),
 }
 
@@ -47,6 +48,7 @@ class Spec:
         release: Time at which the position loop's offset is removed [s], or None.
         tap: Knock on the last link at time 0 [N m].
         supervisor: Settings of the supervisor that runs in every scenario; None: none does.
+        gravity_compensation: Whether the robot's own is on, where its file says that it has one.
         sample: "latin_hypercube", "sobol", or None: no axis is sampled.
         count: Points of the sample.
         seed: Of the sample and of random poses.
@@ -68,6 +70,7 @@ class Spec:
     release: float | None = number("s", -1e3, 1e5, default=None)
     tap: float = number("N m", -1e5, 1e5, default=0.0)
     supervisor: SupervisorSettings | None = None
+    gravity_compensation: bool = False
     sample: str | None = None
     count: int = 0
     seed: int = 0
@@ -94,6 +97,8 @@ class Spec:
             raise self._refuse(f"must be 1 to {MOST} points of the sample", "count", self.count)
         if not sampled and self.count:
             raise self._refuse("is for samples only", "count", self.count)
+        if type(self.gravity_compensation) is not bool:
+            raise self._refuse("must be true or false", "gravity_compensation", self.gravity_compensation)
         if type(self.seed) is not int or not 0 <= self.seed < 2**31:
             raise self._refuse("must be a whole number, not negative", "seed", self.seed)
         if self.chunk is not None and (type(self.chunk) is not int or not 1 <= self.chunk <= 10_000):

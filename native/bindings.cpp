@@ -108,7 +108,8 @@ nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t 
     }
     if (gravity && gravity->g.n != a.drives)
         throw std::invalid_argument("the gravity compensation is that of another number of drives");
-    a.gravity = gravity ? &gravity->g : nullptr;
+    a.gravity = gravity ? dp_gravity_torque : nullptr;
+    a.gravity_of = gravity ? &gravity->g : nullptr;
     for (int j = 0; j < a.drives; j++) {
         const dp_drive &d = a.drive[j];
         auto bad = [](int i, size_t n) { return i < 0 || static_cast<size_t>(i) >= n; };

@@ -146,10 +146,11 @@ void dp_faults_tick(dp_faults *f, const dp_run_args *a, int tick)
     }
 }
 
-void dp_faults_encoder(dp_faults *f, int j, double period, double *position, double *velocity)
+void dp_faults_sample(dp_faults *f, int j, int tick, double period, double *torque, double *position,
+                      double *velocity)
 {
     dp_fault_state *s = &f->state[j];
-    double q = *position, w = *velocity;
+    double q = *position, w = *velocity, tau = *torque;
     if (!s->started)
         s->jump_before = s->jump;
     if (s->jump != 0.0)
@@ -162,28 +163,17 @@ void dp_faults_encoder(dp_faults *f, int j, double period, double *position, dou
     } else if (s->was_frozen) {
         w = (q - s->position) / period;
     }
+    if (s->stuck && s->started)
+        tau = s->torque;
     s->jump_before = s->jump;
     s->was_frozen = s->frozen;
     s->position = q;
-    *position = q;
-    *velocity = w;
-}
-
-int dp_faults_encoder_lost(const dp_faults *f, int j) { return f->state[j].lost; }
-
-void dp_faults_link(dp_faults *f, int j, int tick, double *torque, double *position, double *velocity,
-                    double *gravity)
-{
-    dp_fault_state *s = &f->state[j];
-    if (s->stuck && s->started)
-        *torque = s->torque;
-    s->torque = *torque;
+    s->torque = tau;
 
     dp_packet *now = &s->sent[tick % (DP_MAX_LATE + 1)];
-    now->torque = s->nan ? NAN : *torque;
-    now->position = s->lost ? NAN : *position;
-    now->velocity = s->lost ? NAN : *velocity;
-    now->gravity = *gravity;
+    now->torque = s->nan ? NAN : tau;
+    now->position = s->lost ? NAN : q;
+    now->velocity = s->lost ? NAN : w;
     now->encoder = !s->lost;
     if (!s->started) {
         s->source = tick;
@@ -199,9 +189,23 @@ void dp_faults_link(dp_faults *f, int j, int tick, double *torque, double *posit
     *torque = s->seen.torque;
     *position = s->seen.position;
     *velocity = s->seen.velocity;
-    *gravity = s->seen.gravity;
     f->torque_age[j] = tick - s->source;
     f->encoder_age[j] = tick - s->encoder_source;
+}
+
+void dp_faults_angle(const dp_faults *f, int j, double *position)
+{
+    if (!f->state[j].lost)
+        *position = f->state[j].position;
+}
+
+double dp_faults_gravity(dp_faults *f, int j, int tick, double gravity)
+{
+    dp_fault_state *s = &f->state[j];
+    s->sent[tick % (DP_MAX_LATE + 1)].gravity = gravity;
+    if (tick - s->source <= DP_MAX_LATE) /* older ones are no longer there, and were told before */
+        s->seen.gravity = s->sent[s->source % (DP_MAX_LATE + 1)].gravity;
+    return s->seen.gravity;
 }
 
 static double within(double x, double limit)

@@ -57,8 +57,9 @@ typedef struct {
 } dp_fault_drive;
 
 typedef struct {
-    double torque, position, velocity, gravity;
-    int encoder; /* 0: lost */
+    double torque, position, velocity;
+    double gravity; /* that the robot carries */
+    int encoder;    /* 0: lost */
 } dp_packet;
 
 /* What acts on one drive, and what its faults remember. */
@@ -96,16 +97,15 @@ void dp_faults_begin(dp_faults *f, const dp_drive *drive);
 /* Before the samples of a tick are taken: starts and ends faults, and sets the drives' parameters. */
 void dp_faults_tick(dp_faults *f, const dp_run_args *a, int tick);
 
-/* Turns what the encoder of drive j says into what it says when it jumps or freezes. */
-void dp_faults_encoder(dp_faults *f, int j, double period, double *position, double *velocity);
+/* Turns the sample of drive j into what its controller sees; sets the ages. */
+void dp_faults_sample(dp_faults *f, int j, int tick, double period, double *torque, double *position,
+                      double *velocity);
 
-/* Whether that encoder says nothing at this tick. */
-int dp_faults_encoder_lost(const dp_faults *f, int j);
+/* Where the encoder of drive j, as it is at this tick, says that its rotor is; left as it was while it is lost. */
+void dp_faults_angle(const dp_faults *f, int j, double *position);
 
-/* Turns the sample of drive j, after dp_faults_encoder, into what its controller sees; sets the ages. The gravity that
- * the robot compensates travels with the sample. */
-void dp_faults_link(dp_faults *f, int j, int tick, double *torque, double *position, double *velocity,
-                    double *gravity);
+/* Of the gravity torque that the robot carries at this tick: what its controller is told, with the sample it gets. */
+double dp_faults_gravity(dp_faults *f, int j, int tick, double gravity);
 
 /* Adds contact, short circuit and brake to the forces of the coming physics step; needed while f->acting. */
 void dp_faults_forces(dp_faults *f, const dp_run_args *a);

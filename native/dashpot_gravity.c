@@ -1,7 +1,8 @@
 #include "dashpot_gravity.h"
 
-void dp_gravity_torque(dp_gravity *g, const double *position, double *torque)
+void dp_gravity_torque(void *of, const double *position, double *torque)
 {
+    dp_gravity *g = of;
     for (int j = 0; j < g->n; j++)
         g->qpos[g->qpos_index[j]] = position[j];
     g->kinematics(g->model, g->data);

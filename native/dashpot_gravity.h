@@ -25,8 +25,8 @@ typedef struct dp_gravity {
     int qpos_index[DP_MAX_JOINTS], dof_index[DP_MAX_JOINTS]; /* of the rotors */
 } dp_gravity;
 
-/* torque[j] holds joint j at rest at the angles position [rad], both of n joints [N m]. */
-void dp_gravity_torque(dp_gravity *g, const double *position, double *torque);
+/* torque[j] holds joint j at rest at the angles position [rad], both of n joints [N m]; g is a dp_gravity. */
+void dp_gravity_torque(void *g, const double *position, double *torque);
 
 #ifdef __cplusplus
 }

@@ -1,7 +1,6 @@
 #include "dashpot_runner.h"
 
 #include "dashpot_faults.h"
-#include "dashpot_gravity.h"
 
 #include <math.h>
 #include <string.h>
@@ -137,14 +136,39 @@ static const double *row(const double *table, const dp_run_args *a, int field, i
     return &table[((long)field * a->ticks + tick) * a->drives + j];
 }
 
+/* The robot's own gravity compensation. It knows what its encoders say, and goes on as it was where one is lost. The
+ * controller is told what is carried for it, in the packet of the torque sample. */
+static void carry(dp_run_args *a, int tick, int n, double *in)
+{
+    double known[DP_MAX_JOINTS], gravity[DP_MAX_JOINTS] = {0};
+    for (int j = 0; j < a->drives; j++) {
+        dp_drive *d = &a->drive[j];
+        if (!(a->faults && d->control >= 0))
+            d->known = d->encoder;
+        else
+            dp_faults_angle(a->faults, j, &d->known);
+        known[j] = d->known;
+    }
+    a->gravity(a->gravity_of, known, gravity);
+    for (int j = 0; j < a->drives; j++) {
+        const int i = a->drive[j].control;
+        const double told = a->faults && i >= 0 ? dp_faults_gravity(a->faults, j, tick, gravity[j]) : gravity[j];
+        a->drive[j].gravity = gravity[j];
+        if (a->record)
+            a->record[((long)DP_REC_SAMPLE * a->ticks + tick) * a->drives + j] -= told;
+        if (i >= 0 && a->supervisor_gravity) /* it checks the sensor as it is, and takes the rest off itself */
+            a->supervisor_gravity[i] = told;
+        else if (i >= 0)
+            in[DP_IN_TORQUE * n + i] -= told;
+    }
+}
+
 static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in, double *out)
 {
     const int n = c ? c->n : 0;
     const double period = a->dt * a->steps_per_tick;
     dp_faults *f = a->faults;
     int torque_age[DP_MAX_JOINTS] = {0}, encoder_age[DP_MAX_JOINTS] = {0}, powered = 1;
-    double torque[DP_MAX_JOINTS], position[DP_MAX_JOINTS], velocity[DP_MAX_JOINTS], known[DP_MAX_JOINTS];
-    double gravity[DP_MAX_JOINTS] = {0};
     if (f) {
         dp_faults_tick(f, a, tick);
         powered = f->powered;
@@ -157,44 +181,31 @@ static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in,
             w = tick > 0 ? (q - d->encoder) / period : w;
         }
         d->encoder = q;
-        position[j] = q;
-        velocity[j] = w;
-        torque[j] = sample(d, tick > 0 ? a->steps_per_tick : 0);
-        if (f && d->control >= 0)
-            dp_faults_encoder(f, j, period, &position[j], &velocity[j]);
-        if (!(f && d->control >= 0 && dp_faults_encoder_lost(f, j))) /* without an encoder the robot goes on as it was */
-            d->known = position[j];
-        known[j] = d->known;
-    }
-    if (a->gravity)
-        dp_gravity_torque(a->gravity, known, gravity);
-    for (int j = 0; j < a->drives; j++) {
-        dp_drive *d = &a->drive[j];
+        double tau = sample(d, tick > 0 ? a->steps_per_tick : 0);
         const int i = d->control;
-        d->gravity = gravity[j];
         if (f && i >= 0) {
-            dp_faults_link(f, j, tick, &torque[j], &position[j], &velocity[j], &gravity[j]);
+            dp_faults_sample(f, j, tick, period, &tau, &q, &w);
             torque_age[i] = f->torque_age[j];
             encoder_age[i] = f->encoder_age[j];
         }
         if (a->record) {
-            record(a, tick, j, DP_REC_POSITION, position[j]);
-            record(a, tick, j, DP_REC_VELOCITY, velocity[j]);
+            record(a, tick, j, DP_REC_POSITION, q);
+            record(a, tick, j, DP_REC_VELOCITY, w);
             record(a, tick, j, DP_REC_LINK_POSITION, a->qpos[d->rotor_qpos] + a->qpos[d->spring_qpos]);
             record(a, tick, j, DP_REC_LINK_VELOCITY, a->qvel[d->rotor_dof] + a->qvel[d->spring_dof]);
             record(a, tick, j, DP_REC_TORQUE, d->tau);
-            record(a, tick, j, DP_REC_SAMPLE, torque[j] - gravity[j]);
+            record(a, tick, j, DP_REC_SAMPLE, tau);
         }
         if (i < 0)
             continue;
-        if (a->supervisor_gravity) /* it checks the sensor as it is, and takes the rest off itself */
-            a->supervisor_gravity[i] = gravity[j];
-        in[DP_IN_TORQUE * n + i] = a->supervisor_gravity ? torque[j] : torque[j] - gravity[j];
-        in[DP_IN_POSITION * n + i] = position[j];
-        in[DP_IN_VELOCITY * n + i] = velocity[j];
+        in[DP_IN_TORQUE * n + i] = tau;
+        in[DP_IN_POSITION * n + i] = q;
+        in[DP_IN_VELOCITY * n + i] = w;
         for (int k = 0; k < 4; k++)
             in[(DP_IN_POSITION_REF + k) * n + i] = a->reference ? *row(a->reference, a, k, tick, j) : 0.0;
     }
+    if (a->gravity)
+        carry(a, tick, n, in);
     if (c && powered) {
         int status = a->supervise ? a->supervise(a->supervisor, c, in, torque_age, encoder_age, out)
                                   : dp_step(c, in, out);

@@ -80,7 +80,6 @@ enum { DP_RUN_OK = 0, DP_RUN_DIVERGED = 1 };
 
 struct dp_faults;     /* dashpot_faults.h */
 struct dp_supervisor; /* what runs in the place of dp_step, if anything does */
-struct dp_gravity;    /* dashpot_gravity.h */
 
 typedef struct {
     void (*step)(const void *model, void *data);
@@ -110,7 +109,10 @@ typedef struct {
     const int *apply_brake;            /* the supervisor's flag, copied to faults after each call; or null */
     const int *state;                  /* its state, 0 while it tracks; or null */
     double *supervisor_gravity;        /* where it reads what the robot adds itself, (controlled joints); or null */
-    struct dp_gravity *gravity;        /* the robot's own gravity compensation, or null (dashpot_gravity.h) */
+    /* The robot's own gravity compensation, or null: torque that holds its bare links at the angles its encoders say,
+     * [drives] both. It is added to every command, and taken off the torque samples. */
+    void (*gravity)(void *of, const double *position, double *torque);
+    void *gravity_of;
 } dp_run_args;
 
 /* Runs ticks a->first to a->last; returns DP_RUN_OK or DP_RUN_DIVERGED (a rotor or link faster than

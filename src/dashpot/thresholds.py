@@ -31,8 +31,8 @@ class SupervisorSettings:
         torque_age: Oldest torque sample that is used [ticks].
         encoder_age: Oldest encoder sample that is used [ticks].
         speed_limit: No joint moves faster [rad/s].
-        stand: By which the reference may move while the encoder repeats itself [rad]: more than it takes the
-            position loop to overcome friction.
+        stand: By which the reference may move while the encoder repeats itself [rad]; None: what it takes the
+            position loop to turn the largest friction round (`stand_of`).
         torque_range: Range of the torque sensor, as a multiple of the drive's torque limit [-].
         friction_margin: Relative half-width of friction, where the drive states none [-].
         model_margin: The same of rotor inertia and viscous friction [-]; both are lower bounds where it does.
@@ -58,7 +58,7 @@ class SupervisorSettings:
     torque_age: int = 2
     encoder_age: int = 2
     speed_limit: float = number("rad/s", 0, 1e3, open_low=True, typical=(0.1, 30), default=2 * math.pi)
-    stand: float = number("rad", 0, 10, open_low=True, default=0.03)
+    stand: float | None = number("rad", 0, 10, open_low=True, default=None)
     torque_range: float = number("-", 0, 100, open_low=True, default=2.0)
     friction_margin: float = number("-", 0, 10, default=0.5)
     model_margin: float = number("-", 0, 1, default=0.1)
@@ -151,6 +151,28 @@ def load_state(block: NDArray[np.void]) -> Floats:
     return state
 
 
+def stand_of(block: NDArray[np.void], friction: float) -> float:
+    """How far a reference may go while friction holds a joint [rad]: ``2 friction / kappa``.
+
+    kappa = du/d(reference) of the block in equilibrium, position and sensed torque constant. A resting rotor
+    carries ``u - tau_s``, from -friction to +friction. An integrator only shortens that: of a block that has one,
+    kappa is its direct gain. Infinite without a position loop: nothing has to follow.
+
+    Args:
+        block: The joint's controller block.
+        friction: Largest of the resting rotor [N m].
+    """
+    n = int(block["nx"])
+    system = np.zeros((n + 1, n + 1))
+    system[:n, :n] = np.eye(n) - block["A"][:n, :n]
+    system[:n, n] = -block["B"][:n, IN_EFFECT]
+    system[n, :n], system[n, n] = -block["C"][:n], 1 - block["D"][IN_EFFECT]
+    forcing = np.append(block["B"][:n, POSITION_REF], block["D"][POSITION_REF])
+    settles = np.linalg.cond(system) < 1e12
+    kappa = abs(float(np.linalg.solve(system, forcing)[n] if settles else forcing[n]))
+    return 2 * friction / kappa if kappa > 0 else math.inf
+
+
 def _gain(period: float, time: float) -> float:
     return -math.expm1(-period / time)
 
@@ -226,8 +248,8 @@ def watch_record(
     record["torque_jump"] = 4 * s.speed_limit * c + 2 * sigmas * noise + drive.hysteresis
     record["lower"], record["upper"] = limits
     record["speed_limit"], record["jump"] = s.speed_limit, 2 * resolution
-    # Without a position loop nothing has to follow.
-    record["stand"] = s.stand if block["D"][POSITION_REF] else 1e12
+    stand = stand_of(block, friction)
+    record["stand"] = min(stand if s.stand is None or math.isinf(stand) else s.stand, 1e12)
     record["mismatch"] = 0.02 * s.speed_limit + 2 * gain * resolution / period
     record["bias_limit"] = bias
     record["moving"] = max(0.02, 4 * resolution / period)

@@ -59,9 +59,10 @@ class _Gravity:
             )
         self._model, self._data = bare.model, mujoco.MjData(bare.model)
         mujoco.mj_forward(self._model, self._data)  # at rest; only angles change from here on
-        addresses = (_engine(name) for name in ("mj_kinematics", "mj_comPos", "mj_rne"))
         self.native = _native.Gravity(
-            *addresses,
+            _engine("mj_kinematics"),
+            _engine("mj_comPos"),
+            _engine("mj_rne"),
             self._model._address,
             self._data._address,
             self._data.qpos,

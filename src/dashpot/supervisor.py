@@ -18,10 +18,10 @@ import dashpot._native as _native
 from dashpot.controller import Controller
 from dashpot.drive import Drive
 from dashpot.errors import InputError
+from dashpot.supervisorsettings import SupervisorSettings
 from dashpot.thresholds import (
     RULES_DTYPE,
     WATCH_DTYPE,
-    SupervisorSettings,
     load_state,
     rules_record,
     watch_records,

@@ -80,7 +80,7 @@ MEASURES = {
     "oscillated": Measure("-", "1: the supervisor found an oscillation that the motor keeps up", False),
     "stopped": Measure(
         "-",
-        f"1: no controlled rotor moves by more than {RESTS:g} rad in the last {RESTS_FOR:g} s, of a stopped arm",
+        f"1: every controlled rotor of a stopped arm stays within {RESTS:g} rad in the last {RESTS_FOR:g} s",
         False,
     ),
     "diverged_at": Measure("s", "time at which the simulation diverged; inf: never", False),
@@ -167,8 +167,8 @@ def _decided(
     }
     if event is not None:
         found["time_to_decision"] = decisions[0]["time"] - event if decisions else math.inf
-    # Judged once the supervisor says that the arm has stopped, or the mechanical brake has had its time: to close,
-    # to take the energy of the arm, and to show that it holds. The link may go on swinging behind it.
+    # Judged once the supervisor says that the arm has stopped, or the mechanical brake has had its time: to
+    # close, to take the arm's energy, and to show that it holds. The link may go on swinging behind it.
     end, closed = float(recording.time[-1]), [d["time"] for d in decisions if d["after"] == "safe"]
     if (closed and end - closed[0] >= BRAKE_DELAY + SLIPS + RESTS_FOR) or said["stopped"]:
         braked = [joint in controlled for joint in recording.joints]

@@ -44,7 +44,7 @@ DATA = mujoco.MjData(RIGID)
 
 
 def weight(angles):
-    """Torque that holds the bare arm by virtual work, minus the sum of ``m J^T g`` over bodies: (n,) [N m]."""
+    """Torque that holds the bare arm by virtual work, minus the sum of ``m J^T g`` over bodies: (n,)."""
     data, moves = DATA, np.zeros((3, RIGID.nv))
     data.qpos[: len(angles)] = angles
     mujoco.mj_kinematics(RIGID, data)

@@ -1,13 +1,21 @@
 // Python bindings of the controller core and the closed-loop runner.
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 #include "bindings.h"
 #include "dashpot_faults.h"
+#include "dashpot_gravity.h"
 #include "dashpot_runner.h"
 #include "dashpot_stops.h"
 
 namespace {
+
+// The robot's own gravity compensation in one run; the engine's model and data are kept alive by the caller.
+struct Gravity {
+    dp_gravity g{};
+    std::vector<double> all;
+};
 
 const dp_block *blocks_of(const Bytes &raw, int &n) {
     if (raw.size() == 0 || raw.size() % sizeof(dp_block) != 0)
@@ -35,7 +43,7 @@ double *optional(nb::object o, size_t size, const char *name) {
 nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t model, uintptr_t data, Vector qpos,
               Vector qvel, Vector qfrc_applied, double dt, int steps_per_tick, int ticks, nb::object reference,
               nb::object external, nb::object record, nb::object status, Faults *faults, int first, int last,
-              Guard *guard, Link *link) {
+              Guard *guard, Link *link, Gravity *gravity) {
     if (drives.size() == 0 || drives.size() % sizeof(dp_drive) || events.size() % sizeof(dp_event))
         throw std::invalid_argument("drive or event records have the wrong size");
     dp_run_args a{};
@@ -66,6 +74,7 @@ nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t 
         a.supervisor = &guard->s;
         a.apply_brake = &guard->s.apply_brake;
         a.state = &guard->s.state;
+        a.supervisor_gravity = guard->s.gravity;
     }
     if (link) {
         if (!faults || guard || !core)
@@ -76,6 +85,12 @@ nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t 
         a.state = &link->l.state;
         a.end = &link->l.end;
         link->l.tick = &a.tick;
+    }
+    if (gravity) {
+        if (gravity->g.n != a.drives)
+            throw std::invalid_argument("the gravity compensation is that of another number of drives");
+        a.gravity = dp_gravity_torque;
+        a.gravity_of = &gravity->g;
     }
     check_drives(a, qpos, qvel, qfrc_applied, core ? core->c.n : 0);
     for (int i = 0; i < a.events; i++)
@@ -142,6 +157,10 @@ void bind_supervisor(nb::module_ &m) {
                      throw std::invalid_argument("a number of the supervisor is out of range");
              },
              nb::arg("core"), nb::arg("rules"), nb::arg("watch"), nb::keep_alive<1, 2>())
+        .def_prop_ro("gravity",
+                     [](Guard &g) {
+                         return nb::ndarray<nb::numpy, double>(g.s.gravity, {size_t(g.s.n)}, nb::find(g));
+                     })
         .def_prop_ro("torque_age", [](Guard &g) { return Ages(g.torque_age, {size_t(g.s.n)}, nb::find(g)); })
         .def_prop_ro("encoder_age", [](Guard &g) { return Ages(g.encoder_age, {size_t(g.s.n)}, nb::find(g)); })
         .def_prop_ro("state", [](const Guard &g) { return g.s.state; })
@@ -276,12 +295,46 @@ NB_MODULE(_native, m) {
             return ages;
         });
 
+    nb::class_<Gravity>(m, "Gravity")
+        .def("__init__",
+             [](Gravity *self, uintptr_t kinematics, uintptr_t com, uintptr_t rne, uintptr_t model, uintptr_t data,
+                Vector qpos, Ints rotor_qpos, Ints rotor_dof, int dof) {
+                 const size_t n = rotor_qpos.size();
+                 if (n < 1 || n > DP_MAX_JOINTS || rotor_dof.size() != n || dof < 1)
+                     throw std::invalid_argument("the joints do not fit together");
+                 new (self) Gravity();
+                 dp_gravity &g = self->g;
+                 g.kinematics = reinterpret_cast<void (*)(const void *, void *)>(kinematics);
+                 g.com = reinterpret_cast<void (*)(const void *, void *)>(com);
+                 g.rne = reinterpret_cast<void (*)(const void *, void *, int, double *)>(rne);
+                 g.model = reinterpret_cast<const void *>(model);
+                 g.data = reinterpret_cast<void *>(data);
+                 g.qpos = qpos.data();
+                 g.n = static_cast<int>(n);
+                 self->all.resize(static_cast<size_t>(dof));
+                 g.all = self->all.data();
+                 for (size_t j = 0; j < n; j++) {
+                     g.qpos_index[j] = rotor_qpos.data()[j];
+                     g.dof_index[j] = rotor_dof.data()[j];
+                     if (g.qpos_index[j] < 0 || size_t(g.qpos_index[j]) >= qpos.size() || g.dof_index[j] < 0 ||
+                         g.dof_index[j] >= dof)
+                         throw std::invalid_argument("a joint's index is outside the engine's state");
+                 }
+             },
+             nb::arg("kinematics"), nb::arg("com"), nb::arg("rne"), nb::arg("model"), nb::arg("data"),
+             nb::arg("qpos").noconvert(), nb::arg("rotor_qpos"), nb::arg("rotor_dof"), nb::arg("dof"))
+        .def("torque", [](Gravity &s, Vector position, Vector out) {
+            if (position.size() != size_t(s.g.n) || out.size() != size_t(s.g.n))
+                throw std::invalid_argument("position and out must have one element per joint");
+            dp_gravity_torque(&s.g, position.data(), out.data());
+        }, nb::arg("position"), nb::arg("out").noconvert());
+
     m.def("run", &run, nb::arg("core").none(), nb::arg("drives").noconvert(), nb::arg("events"), nb::arg("step"), nb::arg("model"),
           nb::arg("data"), nb::arg("qpos").noconvert(), nb::arg("qvel").noconvert(), nb::arg("qfrc_applied").noconvert(), nb::arg("dt"),
           nb::arg("steps_per_tick"), nb::arg("ticks"), nb::arg("reference").none(), nb::arg("external").none(),
           nb::arg("record").none(), nb::arg("status").none(), nb::arg("faults").none() = nb::none(), nb::arg("first") = 0,
           nb::arg("last") = -1, nb::arg("guard").none() = nb::none(),
-          nb::arg("link").none() = nb::none());
+          nb::arg("link").none() = nb::none(), nb::arg("gravity").none() = nb::none());
 
     m.def("stops", &stops, nb::arg("blocks"), nb::arg("slip").noconvert(), nb::arg("stick").noconvert(), nb::arg("start"),
           nb::arg("sample"), nb::arg("rotor"), nb::arg("held"), nb::arg("link"), nb::arg("spring"), nb::arg("slips"),

@@ -61,6 +61,7 @@ static void heal(const dp_faults *f, dp_fault_state *s, dp_drive *d)
 {
     d->torque_limit = s->torque_limit;
     d->servo_limit = s->servo_limit;
+    d->motor_limit = INFINITY;
     d->inner_gain = s->inner_gain;
     d->sensor_gain = s->sensor_gain;
     d->sensor_bias = s->sensor_bias;
@@ -98,6 +99,7 @@ static void apply(dp_faults *f, dp_fault *e, const dp_run_args *a, int tick)
     case DP_FAULT_SATURATION: /* 0 times an infinite limit must be 0 */
         d->torque_limit = v > 0.0 ? v * d->torque_limit : 0.0;
         d->servo_limit = v > 0.0 ? v * d->servo_limit : 0.0;
+        d->motor_limit = d->torque_limit; /* a weak motor carries no more weight than this either */
         break;
     case DP_FAULT_BROWNOUT: f->powered = 0; break;
     case DP_FAULT_CONTACT:
@@ -135,7 +137,7 @@ void dp_faults_tick(dp_faults *f, const dp_run_args *a, int tick)
         s->off |= !f->powered;
         f->acting |= s->brake > 0.0 || s->short_damping > 0.0;
         if (s->off) {
-            d->torque_limit = d->servo_limit = d->inner_gain = 0.0;
+            d->torque_limit = d->servo_limit = d->motor_limit = d->inner_gain = 0.0;
         } else if (s->was_off) { /* the inner loop starts afresh */
             d->inner_torque = d->tau;
             d->inner_correction = 0.0;
@@ -189,6 +191,21 @@ void dp_faults_sample(dp_faults *f, int j, int tick, double period, double *torq
     *velocity = s->seen.velocity;
     f->torque_age[j] = tick - s->source;
     f->encoder_age[j] = tick - s->encoder_source;
+}
+
+void dp_faults_angle(const dp_faults *f, int j, double *position)
+{
+    if (!f->state[j].lost)
+        *position = f->state[j].position;
+}
+
+double dp_faults_gravity(dp_faults *f, int j, int tick, double gravity)
+{
+    dp_fault_state *s = &f->state[j];
+    s->sent[tick % (DP_MAX_LATE + 1)].gravity = gravity;
+    if (tick - s->source <= DP_MAX_LATE) /* older ones are no longer there, and were told before */
+        s->seen.gravity = s->sent[s->source % (DP_MAX_LATE + 1)].gravity;
+    return s->seen.gravity;
 }
 
 static double within(double x, double limit)

@@ -58,7 +58,8 @@ typedef struct {
 
 typedef struct {
     double torque, position, velocity;
-    int encoder; /* 0: lost */
+    double gravity; /* that the robot carries */
+    int encoder;    /* 0: lost */
 } dp_packet;
 
 /* What acts on one drive, and what its faults remember. */
@@ -99,6 +100,12 @@ void dp_faults_tick(dp_faults *f, const dp_run_args *a, int tick);
 /* Turns the sample of drive j into what its controller sees; sets the ages. */
 void dp_faults_sample(dp_faults *f, int j, int tick, double period, double *torque, double *position,
                       double *velocity);
+
+/* Where the encoder of drive j, as it is at this tick, says that its rotor is; left as it was while it is lost. */
+void dp_faults_angle(const dp_faults *f, int j, double *position);
+
+/* Of the gravity torque that the robot carries at this tick: what its controller is told, with the sample it gets. */
+double dp_faults_gravity(dp_faults *f, int j, int tick, double gravity);
 
 /* Adds contact, short circuit and brake to the forces of the coming physics step; needed while f->acting. */
 void dp_faults_forces(dp_faults *f, const dp_run_args *a);

@@ -92,6 +92,7 @@ static void actuate(dp_drive *d, const dp_run_args *a, const double *reference, 
     }
     torque = clamp(torque, d->torque_limit);
     d->asked = torque;
+    torque = clamp(torque + d->gravity, d->motor_limit);
     if (d->inner_gain > 0.0) {
         d->inner_torque = d->tau + d->inner_pole * (d->inner_torque - d->tau);
         if (step % d->inner_steps == 0)
@@ -162,6 +163,33 @@ static void sense(const dp_run_args *a, int tick, int at, int j, double *torque,
     *velocity = w;
 }
 
+/* The robot's own gravity compensation. It knows what its encoders say, and goes on as it was where one is lost. The
+ * controller is told what is carried for it, in the packet of the torque sample. */
+static void carry(dp_run_args *a, int tick, int n, double *in)
+{
+    double known[DP_MAX_JOINTS], gravity[DP_MAX_JOINTS] = {0};
+    for (int j = 0; j < a->drives; j++) {
+        dp_drive *d = &a->drive[j];
+        if (!(a->faults && d->control >= 0))
+            d->known = d->encoder;
+        else
+            dp_faults_angle(a->faults, j, &d->known);
+        known[j] = d->known;
+    }
+    a->gravity(a->gravity_of, known, gravity);
+    for (int j = 0; j < a->drives; j++) {
+        const int i = a->drive[j].control;
+        const double told = a->faults && i >= 0 ? dp_faults_gravity(a->faults, j, tick, gravity[j]) : gravity[j];
+        a->drive[j].gravity = gravity[j];
+        if (a->record)
+            a->record[((long)DP_REC_SAMPLE * a->ticks + tick) * a->drives + j] -= told;
+        if (i >= 0 && a->supervisor_gravity) /* it checks the sensor as it is, and takes the rest off itself */
+            a->supervisor_gravity[i] = told;
+        else if (i >= 0)
+            in[DP_IN_TORQUE * n + i] -= told;
+    }
+}
+
 static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in, double *out)
 {
     const int n = c ? c->n : 0;
@@ -187,6 +215,8 @@ static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in,
         for (int k = 0; k < 4; k++)
             in[(DP_IN_POSITION_REF + k) * n + i] = a->reference ? *row(a->reference, a, k, tick, j) : 0.0;
     }
+    if (a->gravity)
+        carry(a, tick, n, in);
     if (c && powered) {
         int status = a->supervise ? a->supervise(a->supervisor, c, in, torque_age, encoder_age, out)
                                   : dp_step(c, in, out);
@@ -234,7 +264,8 @@ static void begin(const dp_controller *c, dp_run_args *a)
         d->filter_x[0] = d->measured_tau = d->inner_torque = d->tau = tau;
         d->filter_x[1] = d->friction_z = d->hysteresis_z = d->sum = d->integral = d->encoder = 0.0;
         d->spare = NAN;
-        d->friction = d->inner_correction = 0.0;
+        d->friction = d->inner_correction = d->gravity = 0.0;
+        d->known = a->qpos[d->rotor_qpos];
         d->motor = d->asked = c && d->control >= 0 ? c->state[d->control].in_effect : 0.0;
         for (int i = 0; i < DP_MAX_DELAY; i++)
             d->delay[i] = tau;

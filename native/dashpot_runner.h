@@ -32,11 +32,13 @@ typedef struct {
     double actuator_gain;             /* 1 + relative error of the torque produced */
     double inner_gain;                /* inner torque loop: u + g (u - tau_s); 0 = none */
     double filter_a[2][2], filter_b[2]; /* sensor low-pass at the physics step, output state 0 */
+    double motor_limit;               /* of command and gravity compensation together; infinite while healthy [N m] */
     int rotor_qpos, rotor_dof, spring_qpos, spring_dof;
     int control;                      /* index in the controller, or -1: the robot's own servo */
     int average, filtered, sensor_delay; /* sampling; delay in physics steps */
     /* state */
     double friction_z, tau, filter_x[2], sum, motor, measured_tau, friction, asked;
+    double gravity;                   /* what the robot itself adds to the command over this period [N m] */
 
     double hysteresis_stiffness;      /* [N m/rad] */
     double stop_stiffness, stop_damping;
@@ -49,6 +51,7 @@ typedef struct {
     /* state */
     double hysteresis_z, integral, inner_torque, inner_correction, spare;
     double encoder;                   /* rotor angle at the last tick, quantised [rad] */
+    double known;                     /* the same as the robot's gravity compensation knows it [rad] */
     double delay[DP_MAX_DELAY];
     unsigned long long rng;
 } dp_drive;
@@ -67,7 +70,7 @@ enum {
     DP_REC_LINK_POSITION, /* [rad] */
     DP_REC_LINK_VELOCITY, /* [rad/s] */
     DP_REC_TORQUE,        /* transmitted torque, true [N m] */
-    DP_REC_SAMPLE,        /* torque sample given to the controller [N m] */
+    DP_REC_SAMPLE,        /* torque sample given to the controller, less the gravity that the robot carries [N m] */
     DP_REC_COMMAND,       /* torque command issued at this tick [N m] */
     DP_REC_IN_EFFECT,     /* torque asked of the drive over the coming period [N m]; a servo's: the last */
     DP_NREC
@@ -107,6 +110,11 @@ typedef struct {
     const int *state;                  /* its state, 0 while it tracks; or null */
     int tick;                          /* the one being run */
     const int *end;                    /* the run ends after the samples of a tick at which it is not 0; or null */
+    double *supervisor_gravity;        /* where it reads what the robot adds itself, (controlled joints); or null */
+    /* The robot's own gravity compensation, or null: torque that holds its bare links at the angles its encoders say,
+     * [drives] both. It is added to every command, and taken off the torque samples. */
+    void (*gravity)(void *of, const double *position, double *torque);
+    void *gravity_of;
 } dp_run_args;
 
 /* Runs ticks a->first to a->last; returns DP_RUN_OK or DP_RUN_DIVERGED (a rotor or link faster than

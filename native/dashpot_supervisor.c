@@ -65,7 +65,7 @@ int dp_supervisor_init(dp_supervisor *s, const dp_rules *rules, const dp_watch *
         const dp_watch *w = &watch[j];
         /* what is compared or multiplied with signals: finite, so that no product is not a number */
         const double number[] = {w->inertia, w->viscous, w->inertia_error, w->viscous_error, w->torque_error,
-                                 w->torque_lag, w->torque_mid, w->allowance, w->noise, w->torque_range, w->torque_rate,
+                                 w->torque_lag, w->torque_mid, w->allowance, w->noise, w->noise_tick, w->torque_range, w->torque_rate,
                                  w->torque_jump, w->speed_limit, w->jump, w->stand, w->mismatch, w->bias_limit, w->moving,
                                  w->floor, w->damping, w->hold};
         for (unsigned i = 0; i < sizeof number / sizeof *number; i++)
@@ -247,11 +247,10 @@ static void fuse(dp_supervisor *s, int j, double q, double v, double before_torq
     const double dw = v - o->velocity, mean = 0.5 * (v + o->velocity);
     const double dtau = o->torque - before_torque, tau = o->torque - w->torque_mid * dtau;
     const double e = w->inertia * dw + w->viscous * mean + tau - u;
+    const double bound = w->allowance + w->inertia_error * size(dw) + w->viscous_error * size(mean) +
+                         w->torque_error * size(o->torque) + w->torque_lag * size(dtau);
     follow(&o->residual, e, r->residual_gain);
-    follow(&o->bound,
-           w->allowance + w->inertia_error * size(dw) + w->viscous_error * size(mean) +
-               w->torque_error * size(o->torque) + w->torque_lag * size(dtau),
-           r->residual_gain);
+    follow(&o->bound, bound, r->residual_gain);
     follow(&o->mismatch, (q - o->position) / r->period - v, r->residual_gain);
     follow(&o->mismatch_bound, w->mismatch + size(dw), r->residual_gain);
 
@@ -259,11 +258,19 @@ static void fuse(dp_supervisor *s, int j, double q, double v, double before_torq
     if (q != o->position)
         o->same_position = -1;
     count_up(&o->same_position);
+    if (o->same_position != 1) /* a halt that no torque explains is remembered while the encoder stands */
+        o->halt = o->same_position ? o->halt : 0.0;
+    else if (size(e) > bound + w->noise_tick) {
+        o->halt = e;
+        o->halt_bound = bound + w->noise_tick;
+    }
     const double limit = o->bound + w->noise;
     o->residual_ticks = size(o->residual) > limit ? o->residual_ticks + 1 : 0;
     o->mismatch_ticks = size(o->mismatch) > o->mismatch_bound ? o->mismatch_ticks + 1 : 0;
     if (o->mismatch_ticks >= r->debounce && !o->encoder_lost)
         lose_encoder(s, j, DP_WHY_ENCODER_INCONSISTENT, o->mismatch, o->mismatch_bound, r->debounce + r->window);
+    else if (o->halt != 0.0 && o->same_position >= r->debounce && !o->encoder_lost)
+        lose_encoder(s, j, DP_WHY_ENCODER_FROZEN, o->halt, o->halt_bound, o->same_position + 1);
     else if (o->residual_ticks >= r->debounce)
         blame(s, j, limit);
     else if (size(o->speed) > w->moving && o->residual_ticks == 0) {
@@ -288,7 +295,7 @@ static void listen(dp_supervisor *s, int j, double u, double speed)
     const dp_watch *w = &s->watch[j];
     dp_joint_watch *o = &s->joint[j];
     const double gain = s->rules.band_gain;
-    const double y = band(&o->band[0], o->torque, gain), motor = band(&o->band[2], u, gain);
+    const double y = band(&o->band[0], o->torque - o->gravity, gain), motor = band(&o->band[2], u, gain);
     const double fast = band(&o->band[4], speed, gain);
     o->fed[o->up] += motor * fast;
     o->heat[o->up] += w->viscous * fast * fast;
@@ -324,8 +331,10 @@ static void watch_joint(dp_supervisor *s, const dp_controller *c, int j, const d
     dp_joint_watch *o = &s->joint[j];
     const dp_state *state = &c->state[j];
     const double q = in[DP_IN_POSITION * n + j], v = in[DP_IN_VELOCITY * n + j];
-    const double u = state->in_effect, before_torque = o->torque;
+    const double u = state->in_effect, before_torque = o->torque, carried = o->gravity;
     const int first_torque = !o->torque_seen, first_encoder = !o->encoder_seen;
+    if (finite(s->gravity[j]))
+        o->gravity = s->gravity[j];
     check_torque(s, j, in[DP_IN_TORQUE * n + j], torque_age);
     check_encoder(s, j, q, v, encoder_age);
 
@@ -338,7 +347,7 @@ static void watch_joint(dp_supervisor *s, const dp_controller *c, int j, const d
 
     const int fresh = o->torque_usable && o->encoder_usable && torque_age == 0 && encoder_age == 0;
     if (fresh && o->fresh && s->state != DP_SAFE) /* the mechanical brake is in no rotor balance */
-        fuse(s, j, q, v, before_torque, u);
+        fuse(s, j, q, v, before_torque, u + carried);
     o->fresh = fresh;
     if (o->encoder_usable) {
         const double seen = 0.5 * (v + o->velocity);
@@ -351,19 +360,20 @@ static void watch_joint(dp_supervisor *s, const dp_controller *c, int j, const d
         o->encoder_seen = 1;
         o->encoder_gap = 0;
     } else {
-        o->observed += (u - o->torque - w->viscous * o->observed) / w->inertia;
+        o->observed += (u + carried - o->torque - w->viscous * o->observed) / w->inertia;
     }
     o->history[s->head] = o->speed;
 
     follow(&o->drive, u, s->tick == 0 ? 1.0 : r->load_gain);
     o->drives[s->head] = o->drive;
     if (o->torque_usable) {
+        const double net = o->torque - o->gravity;
         if (first_torque) {
-            o->load = o->torque;
-            o->band[0] = o->torque;
+            o->load = net;
+            o->band[0] = net;
             o->band[2] = u;
         }
-        follow(&o->load, o->torque, r->speed_gain);
+        follow(&o->load, net, r->speed_gain);
         if (s->state != DP_SAFE) /* where the motor feeds nothing, and a closed brake makes the link ring */
             listen(s, j, u, o->encoder_usable ? o->velocity : o->observed);
     }
@@ -379,7 +389,7 @@ static void watch_joint(dp_supervisor *s, const dp_controller *c, int j, const d
         raise_event(s, DP_EV_STOP, j, DP_WHY_REFERENCE, in[DP_IN_POSITION_REF * n + j], 0.0);
 
     /* A suspected sample is bridged: torque by the last good one, position by going on at the last good speed. */
-    clean[DP_IN_TORQUE * n + j] = o->torque - (s->state == DP_TORQUE_BRAKE ? o->bias : 0.0);
+    clean[DP_IN_TORQUE * n + j] = o->torque - o->gravity - (s->state == DP_TORQUE_BRAKE ? o->bias : 0.0);
     if (o->encoder_seen) {
         clean[DP_IN_POSITION * n + j] = o->position + o->speed * r->period * o->encoder_gap;
         clean[DP_IN_VELOCITY * n + j] = o->encoder_usable ? o->velocity : o->speed;
@@ -404,6 +414,10 @@ static void check_stop(dp_supervisor *s)
         }
         if (!s->stopped && s->since == r->brake_ticks)
             o->rest = o->position;
+        /* Farther than at the speed it had is no braking at all. */
+        const double way = size(o->position - o->begin), free = size(o->pace) * r->period * s->since + r->drift;
+        if (!s->stopped && s->since <= r->brake_ticks && !o->encoder_lost && way > free)
+            raise_event(s, DP_EV_NOT_STOPPED, j, DP_WHY_SAG, way, free);
         /* A load that the brake cannot hold must not have until stop_ticks to fall; and where another joint's
          * encoder is lost, nothing else looks at this one. */
         if ((s->stopped || s->since > r->brake_ticks) && !o->encoder_lost && size(o->position - o->rest) > r->drift)
@@ -436,6 +450,8 @@ static void enter(dp_supervisor *s, dp_controller *c, int state)
         const dp_watch *w = &s->watch[j];
         dp_state *x = &c->state[j];
         if (s->state == DP_TRACK) {
+            o->begin = o->position;
+            o->pace = o->speed;
             o->mode = x->mode;
             o->loop = x->position_loop;
         }
@@ -496,7 +512,7 @@ int dp_supervise(dp_supervisor *s, dp_controller *c, const double *in, const int
     if (next != s->state) {
         enter(s, c, next);
         for (int j = 0; j < n; j++) /* the bias just latched */
-            clean[DP_IN_TORQUE * n + j] = s->joint[j].torque - s->joint[j].bias;
+            clean[DP_IN_TORQUE * n + j] = s->joint[j].torque - s->joint[j].gravity - s->joint[j].bias;
     }
     s->tick++;
     if (s->state <= DP_TORQUE_BRAKE)

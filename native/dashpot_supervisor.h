@@ -58,6 +58,7 @@ typedef struct {
     double torque_lag;            /* by how many ticks a torque sample may be off in time */
     double allowance;             /* friction and sensor bias, largest [N m] */
     double noise;                 /* what noise and quantisation alone put into the residual [N m] */
+    double noise_tick;            /* and into the balance of one period [N m] */
     double torque_range;          /* of the sensor [N m] */
     double torque_rate, torque_jump; /* per tick, and at once [N m] */
     double lower, upper;          /* joint range [rad] */
@@ -102,10 +103,12 @@ typedef struct {
 typedef struct {
     double position, velocity, torque;   /* last accepted samples */
     double raw_torque;
+    double gravity;                      /* what the robot adds by itself over the coming period [N m] */
     double speed;                        /* low-passed velocity */
     double load;                         /* low-passed torque sample */
     double drive;                        /* low-passed motor torque, slower */
     double residual, bound;              /* of the rotor balance, low-passed [N m] */
+    double halt, halt_bound;             /* of the period in which the encoder came to a halt, or 0 [N m] */
     double mismatch, mismatch_bound;     /* [rad/s] */
     double sliding[2], weight[2], bias;  /* residual while moving down, up; latched bias [N m] */
     double band[6];                      /* low-passes of the oscillation monitor */
@@ -114,6 +117,7 @@ typedef struct {
     double fed[2], heat[2];              /* motor's work and viscous heat of the last two half-cycles [J/period] */
     double held;                         /* torque kept by ENCODER_BRAKE */
     double rest;                         /* where it was when the arm came to rest, or brake_ticks on [rad] */
+    double begin, pace;                  /* where it was, and how fast, when the brake began [rad], [rad/s] */
     double reference;                    /* at the last change of position [rad] */
     double entry, anchor;                /* speed when ENCODER_BRAKE began; where it holds the joint */
     double history[DP_HISTORY];          /* of speed */
@@ -133,6 +137,7 @@ typedef struct dp_supervisor {
     int head, park;                      /* park: SAFE follows once the arm has come to rest */
     long long tick;
     long long decisions;                 /* made since dp_supervisor_init; log[i % DP_LOG] */
+    double gravity[DP_MAX_JOINTS];       /* input, see dp_supervise; zero from the start */
     dp_rules rules;
     dp_watch watch[DP_MAX_JOINTS];
     dp_joint_watch joint[DP_MAX_JOINTS];
@@ -152,7 +157,9 @@ void dp_supervisor_stop(dp_supervisor *s, int why);
 /* From now on a brake that has brought the arm to rest hands it to the mechanical brakes: SAFE, and so an end. */
 void dp_supervisor_park(dp_supervisor *s);
 
-/* One tick. in and out as for dp_step; ages in ticks since the last fresh sample, 0: fresh.
+/* One tick. in and out as for dp_step; ages in ticks since the last fresh sample, 0: fresh. Of a robot that adds the
+ * torque against gravity to every command, s->gravity holds what it adds from this tick on: torque samples are given as
+ * they are and checked so; balance and law get them without it. Where it is not finite the last one is used.
  * Returns the statuses of all joints, or-ed. s and c must be for the same number of joints. */
 int dp_supervise(dp_supervisor *s, dp_controller *c, const double *in, const int *torque_age,
                  const int *encoder_age, double *out);

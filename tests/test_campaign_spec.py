@@ -5,15 +5,18 @@ from __future__ import annotations
 import contextlib
 import math
 import pickle
+from importlib.resources import files
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dashpot.campaign.requirements import Requirement
 from dashpot.campaign.scenario import Campaign
 from dashpot.campaign.spec import Spec
 from dashpot.errors import DashpotError, InputError
+from dashpot.supervisorsettings import SupervisorSettings
 
 HEAD = 'robot = "fr3"\ncontroller = "fr3"\nduration = 0.2\n'
 SAMPLED = HEAD + 'sample = "{}"\ncount = 32\nseed = 4\n'
@@ -260,3 +263,34 @@ def test_any_axes_are_understood_or_refused(axes):
     if spec is not None:
         assert spec.size >= 1
         assert sorted(i for k in range(spec.chunks) for i in spec.chunk_indices(k)) == list(range(spec.size))
+
+
+def test_a_campaigns_supervisor_goes_before_the_controllers_own(tmp_path):
+    text = (files("dashpot") / "controllers" / "fr3.toml").read_text()
+    (tmp_path / "law.toml").write_text("supervisor = { stop_time = 0.7, drift = 0.2 }\n" + text)
+    head = 'robot = "fr3"\ncontroller = "law.toml"\nduration = 0.2\n'
+
+    def settings_of(line):
+        scenario = Campaign(Spec.parse(head + line, tmp_path / "spec.toml")).scenario(0)
+        return scenario.supervisor
+
+    assert settings_of("") is None
+    assert settings_of("supervisor = true") == SupervisorSettings(stop_time=0.7, drift=0.2)
+    both = settings_of("supervisor = { drift = 0.3 }")
+    assert both == SupervisorSettings(stop_time=0.7, drift=0.3)
+
+
+def test_gravity_compensation_is_switched_on_where_the_robot_has_it():
+    for robot, controller, has in (("fr3", "fr3", True), ("k807", "k807-wrist", False)):
+        head = f'robot = "{robot}"\ncontroller = "{controller}"\nduration = 0.2\n'
+        on = Campaign(Spec.parse(head + "gravity_compensation = true", None)).scenario(0)
+        assert on.carried is has
+        assert not Campaign(Spec.parse(head, None)).scenario(0).carried
+    with pytest.raises(InputError, match="gravity_compensation = 'yes': must be true or false"):
+        Spec.parse(head + 'gravity_compensation = "yes"', None)
+
+
+def test_a_requirement_allows_what_keeps_its_bounds():
+    bound, among = Requirement("travel", high=0.5), Requirement("supervisor_state", among=(2.0, 3.0))
+    assert [bound.allows(value) for value in (0.5, 0.51, math.nan)] == [True, False, False]
+    assert [among.allows(value) for value in (2.0, 1.0, math.nan)] == [True, False, False]

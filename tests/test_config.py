@@ -12,12 +12,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dashpot.controller import Controller, ControllerConfig, JointGains, joint_block
+from dashpot.controller import Controller, ControllerConfig, JointGains, joint_block, load_controller
 from dashpot.drive import Drive
 from dashpot.errors import DashpotError, InputError, InputWarning
 from dashpot.law import max_torque_gain_error
 from dashpot.robot import Robot
 from dashpot.sampled import VirtualPassive
+from dashpot.supervisorsettings import SupervisorSettings
 
 JOINT = {"name": "j1", "R": 5.0, "D": 4.0, "K": 1.0, "kp": 20.0, "kd": 1.0}
 FILE = {
@@ -352,3 +353,50 @@ def test_every_legal_gain_gives_a_finite_controller_or_a_refusal(R, D, K, m, v, 
     n = int(controller.blocks[0]["nx"])
     A = controller.blocks[0]["A"][:n, :n]
     assert np.abs(np.linalg.eigvals(A)).max() < 1 + 1e-6
+
+
+# --- [supervisor] of a controller -----------------------------------------------------------------------
+
+
+def with_supervisor(tmp_path, text):
+    file = tmp_path / "law.toml"
+    file.write_text(f'period = 0.001\n{text}\n[[joint]]\nname = "j1"\nR = 5.0\nD = 4.0\n')
+    return file
+
+
+def test_a_controller_may_say_what_its_supervisor_may_assume(tmp_path):
+    file = with_supervisor(
+        tmp_path, "[supervisor]\nstop_time = 1\ndebounce = 5\nkeep_load = false\nstand = 0.2"
+    )
+    settings = load_controller(file).supervisor
+    assert settings == SupervisorSettings(stop_time=1.0, debounce=5, keep_load=False, stand=0.2)
+    assert isinstance(settings.stop_time, float)
+    assert load_controller(with_supervisor(tmp_path, "")).supervisor == SupervisorSettings()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("supervisor = true", "law.toml: supervisor = True: must be a table of settings"),
+        (
+            "[supervisor]\nstop_tme = 1.0",
+            "law.toml: supervisor: stop_tme: unknown key; did you mean 'stop_time'?",
+        ),
+        (
+            "[supervisor]\nstop_time = 61.0",
+            "law.toml: supervisor.stop_time [s] = 61.0: must be above 0 and at most 60 s",
+        ),
+        (
+            "[supervisor]\ndebounce = 2.5",
+            "law.toml: supervisor.debounce = 2.5: must be a whole number, 1 to 16",
+        ),
+        ('[supervisor]\ndrift = "far"', "law.toml: supervisor.drift [rad] = 'far': must be a number"),
+        ("[supervisor]\nbias_limit = nan", "law.toml: supervisor.bias_limit [-] = nan: must be finite"),
+        ("[supervisor]\nkeep_load = 1", "law.toml: supervisor.keep_load = 1: must be true or false"),
+    ],
+)
+def test_a_wrong_setting_is_refused_with_file_key_value_and_rule(tmp_path, text, said):
+    file = with_supervisor(tmp_path, text)
+    with pytest.raises(InputError) as refusal:
+        load_controller(file)
+    assert str(refusal.value) == f"{tmp_path}/{said}"

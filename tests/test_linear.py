@@ -13,7 +13,7 @@ from dashpot import _native
 from dashpot import plant as plant_module
 from dashpot.controller import Controller, ControllerConfig, JointGains
 from dashpot.linear import closed_loop, linearise, modes, spectral_radius
-from dashpot.loop import _mj_step
+from dashpot.loop import engine
 from dashpot.payload import Payload
 from dashpot.plant import build
 from dashpot.recording import CHANNELS
@@ -59,7 +59,7 @@ def advance(plant, controller, dq, dv, ticks, pose=POSE):
     arguments = (
         drives.view(np.uint8),
         np.zeros(0, np.uint8),
-        _mj_step(),
+        engine("mj_step"),
         plant.model._address,
         data._address,
     )

@@ -23,7 +23,7 @@ from dashpot.errors import InputError
 from dashpot.payload import Payload
 from dashpot.plant import build
 from dashpot.robot import Robot
-from dashpot.sampled import VirtualPassive, add_position_loop, virtual_passive_block
+from dashpot.sampled import VirtualPassive, add_position_loop, pd_block, virtual_passive_block
 from dashpot.simulate import Scenario, run
 from dashpot.studies.fig6 import _resonance
 from dashpot.studies.setup import setup
@@ -37,7 +37,8 @@ from dashpot.supervisor import (
     load_state,
     next_state,
 )
-from dashpot.trajectory import hold, multisine
+from dashpot.thresholds import stand_of
+from dashpot.trajectory import Trajectory, hold, multisine
 
 NATIVE = Path(__file__).parent.parent / "native"
 H = 1e-3
@@ -506,7 +507,7 @@ def test_a_braked_joint_may_move_on_by_its_drift_and_no_more(speed, brake_time, 
 def test_an_encoder_that_stands_while_the_reference_moves_is_lost(speed, alive):
     """However smoothly the rotor moves: friction hides it in the rotor balance."""
     supervisor, out = guarded(), np.zeros(1)
-    inputs, limit = supervisor.controller.inputs, supervisor.settings.stand
+    inputs, limit = supervisor.controller.inputs, float(supervisor.watch["stand"][0])
     for tick in range(400):
         feed(supervisor, tick, 0, "good")
         inputs.position_ref[:] = speed * H * tick
@@ -519,6 +520,105 @@ def test_an_encoder_that_stands_while_the_reference_moves_is_lost(speed, alive):
         if lost:
             break
     assert all(d.reason == "encoder_stands" for d in supervisor.log)
+
+
+@given(st.floats(0.0, 1.0), st.sampled_from([-1.0, 1.0]), st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_an_encoder_halts_faster_than_any_torque_halts_a_rotor(speed, sign, quantised):
+    """Frozen is what stands after a period that no torque explains; a joint that friction stops is not."""
+    step = 1e-5 if quantised else 0.0
+    drive = replace(DRIVE, position_resolution=step, torque_noise=0.0)
+    supervisor, out = guarded(drive=drive), np.zeros(1)
+    inputs, watch = supervisor.controller.inputs, supervisor.watch[0]
+    q, w, start = 0.0, sign * speed, 200
+    for tick in range(start + 10):
+        feed(supervisor, tick, 0, "good")
+        if tick < start:  # at constant speed, on the rotor's equation
+            q += w * H
+        inputs.position[:] = inputs.position_ref[:] = round(q / step) * step if step else q
+        inputs.velocity[:] = inputs.velocity_ref[:] = w if tick < start else 0.0
+        inputs.torque[:] = out - 1.0 * w + 1e-6 * (tick % 2)
+        supervisor.step(out)
+        if supervisor.state != "track":
+            break
+    # m w/h, less 10 % that the inertia may be wrong, against friction, bias and the encoder's step
+    beyond = (watch["inertia"] - watch["inertia_error"]) * speed - watch["allowance"] - watch["noise_tick"]
+    if beyond > 2.0:  # [N m]: what the bound on friction, gain and lag adds
+        assert supervisor.log[0].reason == "encoder_frozen"
+        assert tick - start <= supervisor.settings.debounce
+    if speed < 0.5 * watch["allowance"] / watch["inertia"]:
+        assert supervisor.state == "track"
+
+
+def test_a_joint_that_goes_farther_than_unbraked_is_given_to_the_mechanical_brake_before_its_time():
+    """Under a load that the motor does not hold: not after brake_time, at drift beyond the speed it had."""
+    options = SupervisorSettings(brake_time=10.0, stop_time=60.0)
+    supervisor, out = guarded(options=options), np.zeros(1)
+    supervisor.stop()
+    inputs, entry, fall = supervisor.controller.inputs, 0.2, 3.0  # [rad/s], [rad/s^2]
+    for tick in range(1000):
+        feed(supervisor, tick, 0, "good")
+        t = H * tick
+        speed = entry + fall * t
+        inputs.position[:], inputs.velocity[:] = entry * t + 0.5 * fall * t**2, speed
+        inputs.torque[:] = out - speed - DRIVE.rotor_inertia * fall + 1e-3 * (tick % 2)
+        supervisor.step(out)
+        if supervisor.state == "safe":
+            break
+    assert supervisor.log[-1].reason == "sag"
+    assert t == pytest.approx(math.sqrt(2 * options.drift / fall), abs=5 * H)
+
+
+@pytest.mark.parametrize("name", ["virtual_passive", "pd"])
+def test_a_joint_may_stand_while_its_friction_is_turned_round(name):
+    """``2 friction / kappa``: a block in equilibrium asks for twice the friction more after that way."""
+    stiffness = 60.0
+    if name == "pd":
+        block, kappa = pd_block(stiffness, 8.0), stiffness
+    else:
+        block = add_position_loop(virtual_passive_block(LAW, H, "implicit"), stiffness, 8.0)
+        static = LAW.R * (LAW.R * LAW.v + LAW.D) / LAW.D  # R_s of K = 0
+        kappa = stiffness * static / (1 + static)
+    assert stand_of(block, 1.3) == pytest.approx(2 * 1.3 / kappa, rel=1e-9)
+    released = virtual_passive_block(LAW, H, "implicit")
+    assert stand_of(released, 1.3) == math.inf
+    assert supervised_stand(0.01) == 0.01  # unless the user says
+    friction = DRIVE.coulomb_friction * (1 + SupervisorSettings().friction_margin)
+    if name == "virtual_passive":
+        assert supervised_stand(None) == pytest.approx(2 * friction / kappa)
+
+
+def supervised_stand(stand):
+    return float(guarded(options=SupervisorSettings(stand=stand)).watch["stand"][0])
+
+
+def test_a_slow_motion_that_turns_round_is_no_standing_encoder():
+    """The fr3 with a quantised encoder: dry friction holds its joints through 33 mrad of the reference."""
+    robot, config = Robot.load("fr3"), load_controller("fr3")
+    robot = robot.with_drives({joint: {"position_resolution": 1e-5} for joint in robot.joints})
+    time = np.arange(0, 6.0, config.period)
+    q = np.array(robot.home) + 0.05 * np.sin(2 * np.pi * time / 6.0)[:, None]
+    v = np.gradient(q, config.period, axis=0)
+    path = Trajectory(
+        position=q, velocity=v, acceleration=np.gradient(v, config.period, axis=0), period=config.period
+    )
+    controller = Controller.from_config(config, robot.drives)
+    scenario = Scenario(
+        build(robot, config.period),
+        controller,
+        path,
+        supervisor=SupervisorSettings(),
+        gravity_compensation=True,
+    )
+    recording = run(scenario)
+    assert recording.settings["supervisor"]["decisions"] == []
+    ways = []
+    for angle, reference in zip(recording.position.T, q.T, strict=True):
+        turns = np.r_[0, np.flatnonzero(np.diff(angle)) + 1, len(time) - 1]
+        ways.append(max(np.ptp(reference[a : b + 1]) for a, b in itertools.pairwise(turns)))
+    stand = Supervisor(controller, robot.drives).watch["stand"]
+    assert max(ways[:5]) > 0.025  # so that a smaller limit is a false alarm
+    assert (np.array(ways) < stand).all()
 
 
 def jump(at, joint, size, until=10**9):

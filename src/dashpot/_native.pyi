@@ -77,7 +77,23 @@ HISTORY: int
 
 def next_state(state: int, events: int) -> int: ...
 
+class Gravity:
+    def __init__(
+        self,
+        kinematics: int,
+        com: int,
+        rne: int,
+        model: int,
+        data: int,
+        qpos: NDArray[np.float64],
+        rotor_qpos: NDArray[np.int32],
+        rotor_dof: NDArray[np.int32],
+        dof: int,
+    ) -> None: ...
+    def torque(self, position: NDArray[np.float64], out: NDArray[np.float64]) -> None: ...
+
 class Guard:
+    gravity: NDArray[np.float64]
     torque_age: NDArray[np.int32]
     encoder_age: NDArray[np.int32]
     state: int
@@ -116,6 +132,7 @@ def run(
     last: int = -1,
     guard: Guard | None = None,
     link: Link | None = None,
+    gravity: Gravity | None = None,
 ) -> tuple[int, int]: ...
 def stops(
     blocks: NDArray[np.uint8],

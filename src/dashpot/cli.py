@@ -87,6 +87,9 @@ class Simulate:
     supervise: bool = False
     """Run the supervisor around the controller, as on a robot: it checks every signal, brakes without
     encoders or without torque sensors, and closes the mechanical brakes last (docs/supervisor.md)."""
+    gravity_compensation: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Switch on the robot's own gravity compensation, as its file says that it has (docs/model.md): it then
+    carries its own weight, and the controller what is left."""
     seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """Seed of motion, sensor noise and dropped samples."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/simulate")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
@@ -20,6 +20,7 @@ from dashpot.jointlaw import JointGains as JointGains
 from dashpot.jointlaw import Law as Law
 from dashpot.laws import law_from_table
 from dashpot.sampled import BLOCK_DTYPE, NX, Floats, Form
+from dashpot.supervisorsettings import SupervisorSettings
 from dashpot.tables import as_float, check_keys, check_numbers, number, read_toml
 
 SLIGHT = 0.1  # samples of latency that are not counted
@@ -45,6 +46,7 @@ class ControllerConfig:
         sampling: "average": mean torque over the last period; "point": the latest value.
         form: "explicit" or "implicit" discretisation of Eqs. (20)-(21).
         blend: Time constant over which a change of mode is faded in [s]; 0: at once.
+        supervisor: What a supervisor of it may assume.
         file: Where it was read from.
     """
 
@@ -55,6 +57,7 @@ class ControllerConfig:
     sampling: Sampling = "average"
     form: Form = "implicit"
     blend: float = number("s", 0, 10, default=0.02)
+    supervisor: SupervisorSettings = field(default_factory=SupervisorSettings)
     file: Path | None = None
 
     def __post_init__(self) -> None:
@@ -105,7 +108,7 @@ class ControllerConfig:
         table = read_toml(path)
         check_keys(
             table,
-            {"period", "latency", "latency_max", "sampling", "form", "blend", "joint"},
+            {"period", "latency", "latency_max", "sampling", "form", "blend", "supervisor", "joint"},
             {"period", "joint"},
             file=path,
         )
@@ -115,6 +118,7 @@ class ControllerConfig:
         joints = tuple(law_from_table(entry, file=path) for entry in entries)
         if type(table["period"]) is int:
             table["period"] = as_float(table["period"])
+        table["supervisor"] = SupervisorSettings.from_table(table.get("supervisor", {}), file=path)
         return cls(joints=joints, file=path, **table)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -32,7 +32,8 @@ class Equilibrium:
     Attributes:
         rotor: Rotor angles, (n,) [rad].
         deflection: Of the transmissions, (n,) [rad].
-        torque: Held by each joint, (n,) [N m].
+        torque: Held by each joint's controller or servo, (n,) [N m]: the load, less what the robot's gravity
+            compensation holds.
         states: Block states of the controlled joints, (nc, NX).
     """
 
@@ -49,6 +50,7 @@ def settle(
     reference: Floats,
     bypass: Collection[str] = (),
     torque_reference: Floats | None = None,
+    carried: Callable[[Floats], Floats] | None = None,
 ) -> Equilibrium | None:
     """Finds the rest position at a constant reference by iterating sag and gravity.
 
@@ -59,6 +61,7 @@ def settle(
         reference: (n,) [rad].
         bypass: Joints under their position loop alone.
         torque_reference: (n,) [N m]; None: zero. Servos do not see it.
+        carried: Torque that the robot's gravity compensation adds at rotor angles (n,) [rad]: (n,) [N m].
 
     Returns:
         The equilibrium, or None where a joint has no position loop to hold it, a drive is not strong enough,
@@ -80,11 +83,13 @@ def settle(
     for _ in range(ITERATIONS):
         data.qpos[plant.rotor_qpos], data.qpos[drives["spring_qpos"]] = rotor, deflection
         mujoco.mj_forward(plant.model, data)
-        torque = np.array((data.qfrc_bias - data.qfrc_gravcomp)[plant.rotor_dof])
-        inputs[:, TORQUE] = drives["sensor_gain"] * torque + drives["sensor_bias"]
+        load = np.array((data.qfrc_bias - data.qfrc_gravcomp)[plant.rotor_dof])
+        own = 0.0 if carried is None else carried(rotor)
+        torque = load - own
+        inputs[:, TORQUE] = drives["sensor_gain"] * load + drives["sensor_bias"] - own
         inputs[:, IN_EFFECT] = torque
         before = rotor, deflection
-        rotor, deflection = np.empty(n), -torque / drives["stiffness"]
+        rotor, deflection = np.empty(n), -load / drives["stiffness"]
         for i, law in laws.items():
             states[i], rotor[i] = law.at(inputs[i], torque[i])
         if not np.isfinite(rotor).all():

@@ -20,7 +20,7 @@ from dashpot.equilibrium import Equilibrium, settle
 from dashpot.errors import DashpotError, InputError
 from dashpot.plant import Plant, with_payload, with_timestep
 from dashpot.recording import CHANNELS, Recording
-from dashpot.sampled import BLOCK_DTYPE, empty_block
+from dashpot.sampled import BLOCK_DTYPE, Floats, empty_block
 from dashpot.script import Clock, native_faults, tick_of
 from dashpot.supervisor import STATES, decisions, native_guard
 from dashpot.thresholds import watch_records
@@ -34,14 +34,49 @@ _KINDS = {"mode": 0, "position_loop": 1, "warm_start": 2}
 
 
 @cache
-def mj_step() -> int:
-    """Address of ``mj_step`` in the library the mujoco package loaded."""
+def engine(function: str) -> int:
+    """Address of a function in the library the mujoco package loaded."""
     folder = Path(mujoco.__file__).parent
     for path in sorted([*folder.glob("libmujoco*"), *folder.glob("mujoco.dll")]):
-        address = ctypes.cast(ctypes.CDLL(str(path)).mj_step, ctypes.c_void_p).value
+        address = ctypes.cast(getattr(ctypes.CDLL(str(path)), function), ctypes.c_void_p).value
         if address:
             return address
-    raise DashpotError(f"{folder}: no MuJoCo library with mj_step; reinstall mujoco")
+    raise DashpotError(f"{folder}: no MuJoCo library with {function}; reinstall mujoco")
+
+
+class _Gravity:
+    """A robot's own gravity compensation: what its bare links weigh at the encoders' angles.
+
+    Attributes:
+        native: As the native loop wants it.
+    """
+
+    def __init__(self, bare: Plant) -> None:
+        if bare.model.body_gravcomp.any():
+            raise InputError(
+                "is in the model already, as gravcomp of bodies; take it out of one of them",
+                file=bare.robot.file,
+                quantity="gravity_compensation",
+            )
+        self._model, self._data = bare.model, mujoco.MjData(bare.model)
+        mujoco.mj_forward(self._model, self._data)  # at rest; only angles change from here on
+        self.native = _native.Gravity(
+            engine("mj_kinematics"),
+            engine("mj_comPos"),
+            engine("mj_rne"),
+            self._model._address,
+            self._data._address,
+            self._data.qpos,
+            bare.rotor_qpos,
+            bare.rotor_dof,
+            self._model.nv,
+        )
+
+    def torque(self, position: Floats) -> Floats:
+        """That holds the bare arm at rest at rotor angles (n,) [rad]: (n,) [N m]."""
+        out = np.empty(len(position))
+        self.native.torque(np.ascontiguousarray(position, float), out)
+        return out
 
 
 def _events(scenario: Scenario) -> NDArray[np.void]:
@@ -66,10 +101,18 @@ def _events(scenario: Scenario) -> NDArray[np.void]:
 
 def equilibrium(scenario: Scenario, plant: Plant | None = None) -> Equilibrium | None:
     """Rest at the first reference, from which a scenario starts; None: there is none."""
-    return _equilibrium(scenario, plant or scenario.plant, _events(scenario))
+    plant = plant or scenario.plant
+    return _equilibrium(scenario, plant, _events(scenario), _compensation(scenario, plant))
 
 
-def _equilibrium(scenario: Scenario, plant: Plant, events: NDArray[np.void]) -> Equilibrium | None:
+def _compensation(scenario: Scenario, plant: Plant) -> _Gravity | None:
+    """The robot's own gravity compensation, where the scenario has it switched on."""
+    return _Gravity(with_payload(plant, None, scenario.trajectory.period)) if scenario.carried else None
+
+
+def _equilibrium(
+    scenario: Scenario, plant: Plant, events: NDArray[np.void], gravity: _Gravity | None
+) -> Equilibrium | None:
     controller, reference = scenario.controller, scenario.trajectory.position[0]
     joints = controller.joints if controller else ()
     blocks = controller.blocks if controller else np.zeros(0, BLOCK_DTYPE)
@@ -81,12 +124,20 @@ def _equilibrium(scenario: Scenario, plant: Plant, events: NDArray[np.void]) -> 
         return None
     bypass = [j for j, mode in modes.items() if mode == "bypass"]
     torque = None if scenario.trajectory.torque is None else scenario.trajectory.torque[0]
-    return settle(plant, joints, blocks, reference, bypass, torque)
+    carried = None if gravity is None else gravity.torque
+    return settle(plant, joints, blocks, reference, bypass, torque, carried)
 
 
-def _start(scenario: Scenario, plant: Plant, core: Any, events: NDArray[np.void], data: Any) -> None:
+def _start(
+    scenario: Scenario,
+    plant: Plant,
+    core: Any,
+    events: NDArray[np.void],
+    data: Any,
+    gravity: _Gravity | None,
+) -> None:
     """Puts the arm at rest in equilibrium with the first reference; without one, at it with slack springs."""
-    found = _equilibrium(scenario, plant, events)
+    found = _equilibrium(scenario, plant, events, gravity)
     if found is None:
         data.qpos[plant.rotor_qpos] = scenario.trajectory.position[0]
         return
@@ -263,7 +314,8 @@ class Loop:
             controlled = controller.joints if controller else ()
             self.faults = native_faults(scenario.faults, plant, controlled, trajectory, scenario.seed)
         self._model, self._data = plant.model, mujoco.MjData(plant.model)
-        _start(scenario, plant, self.core, self._events, self._data)
+        self._gravity = _compensation(scenario, plant)
+        _start(scenario, plant, self.core, self._events, self._data, self._gravity)
         mujoco.mj_forward(self._model, self._data)
         torque = np.zeros((self.ticks, n)) if trajectory.torque is None else trajectory.torque
         self._reference = np.stack(
@@ -289,7 +341,7 @@ class Loop:
             self.core,
             self._drives.view(np.uint8),
             self._events.view(np.uint8),
-            mj_step(),
+            engine("mj_step"),
             self._model._address,
             data._address,
             data.qpos,
@@ -307,6 +359,7 @@ class Loop:
             until,
             self.guard,
             self._link,
+            None if self._gravity is None else self._gravity.native,
         )
         self.tick = until
         if outcome:
@@ -323,6 +376,8 @@ class Loop:
             "seed": scenario.seed,
             "label": scenario.label,
         }
+        if scenario.carried:
+            settings["gravity_compensation"] = True
         if scenario.faults:
             settings["faults"] = [fault.table() for fault in scenario.faults]
         if scenario.payload_changes:

@@ -46,12 +46,14 @@ DRIVE_DTYPE = np.dtype(
         *((name, "f8") for name in _HOT),
         ("filter_a", "f8", (2, 2)),
         ("filter_b", "f8", (2,)),
+        ("motor_limit", "f8"),
         *((name, "i4") for name in (*_INDICES, "average", "filtered", "sensor_delay")),
         *((name, "f8") for name in ("friction_z", "tau", "filter_x0", "filter_x1", "sum", "motor")),
-        *((name, "f8") for name in ("measured_tau", "friction", "asked", *_COLD)),
+        *((name, "f8") for name in ("measured_tau", "friction", "asked", "gravity", *_COLD)),
         *((name, "i4") for name in ("inner_steps", "reserved")),
         *((name, "f8") for name in ("hysteresis_z", "integral", "inner_torque", "inner_correction", "spare")),
         ("encoder", "f8"),
+        ("known", "f8"),
         ("delay", "f8", (_native.MAX_DELAY,)),
         ("rng", "u8"),
     ],
@@ -231,6 +233,7 @@ def _drive_records(model: Any, robot: Robot, ranges: Sequence[tuple[float, float
         light = min(drive.rotor_inertia, inertia[spring.dofadr[0]])
         record["stop_damping"] = 0.5 * math.sqrt(0.5 * drive.stiffness * light)
         record["torque_limit"], record["actuator_gain"] = drive.torque_limit, 1.0
+        record["motor_limit"] = math.inf
         record["inner_gain"] = inner
         if drive.servo:
             record["servo_kp"], record["servo_kd"] = drive.servo.kp, drive.servo.kd

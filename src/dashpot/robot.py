@@ -29,6 +29,8 @@ class Robot:
         model: MJCF or URDF file, or None where only the drives are known.
         flange: Site of the model that payloads hang on; None: the frame of the last joint's body.
         home: Working pose, (n,) [rad].
+        gravity_compensation: Whether the robot itself adds the torque that holds its bare links to every
+            command, as the FR3 does. Scenarios say whether it is switched on.
         file: The TOML it was read from.
     """
 
@@ -37,6 +39,7 @@ class Robot:
     model: Path | None = None
     flange: str | None = None
     home: tuple[float, ...] = ()
+    gravity_compensation: bool = False
     file: Path | None = None
 
     def __post_init__(self) -> None:
@@ -89,11 +92,17 @@ class Robot:
                     f"neither a file nor a bundled robot ({', '.join(BUNDLED)})", quantity=str(source)
                 )
         table = read_toml(path)
-        check_keys(table, {"name", "model", "flange", "home", "joint"}, {"name", "joint"}, file=path)
+        known = {"name", "model", "flange", "home", "gravity_compensation", "joint"}
+        check_keys(table, known, {"name", "joint"}, file=path)
         for key in ("name", "model", "flange"):
             if not isinstance(table.get(key, ""), str):
                 raise InputError("must be a string", file=path, quantity=key, value=table[key])
         entries, home = table["joint"], table.get("home", [])
+        carries = table.get("gravity_compensation", False)
+        if type(carries) is not bool:
+            raise InputError(
+                "must be true or false", file=path, quantity="gravity_compensation", value=carries
+            )
         if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
             raise InputError("must be [[joint]] tables", file=path, quantity="joint")
         if not isinstance(home, list) or not all(type(q) in (int, float) for q in home):
@@ -104,6 +113,7 @@ class Robot:
             model=path.parent / table["model"] if "model" in table else None,
             flange=table.get("flange"),
             home=tuple(as_float(q) for q in home),
+            gravity_compensation=carries,
             file=path,
         )
 

@@ -78,6 +78,10 @@ class Scenario:
         payload_changes: In any order.
         supervisor: Runs in place of the bare controller, as on a robot; None: none does. What it decides is
             in ``recording.settings["supervisor"]``.
+        gravity_compensation: Whether the robot's own is switched on, where its file says that it has one
+            (`Robot.gravity_compensation`): it then adds the torque that holds its bare links at the encoders'
+            angles to every command, and the controller gets the sensed torque without it. Without it the
+            controller carries the arm.
     """
 
     plant: Plant
@@ -90,6 +94,12 @@ class Scenario:
     faults: Sequence[Fault] = ()
     payload_changes: Sequence[PayloadChange] = ()
     supervisor: SupervisorSettings | None = None
+    gravity_compensation: bool = False
+
+    @property
+    def carried(self) -> bool:
+        """Whether the robot carries its own weight."""
+        return self.gravity_compensation and self.plant.robot.gravity_compensation
 
 
 def run(scenario: Scenario) -> Recording:

@@ -18,10 +18,10 @@ import dashpot._native as _native
 from dashpot.controller import Controller
 from dashpot.drive import Drive
 from dashpot.errors import InputError
+from dashpot.supervisorsettings import SupervisorSettings
 from dashpot.thresholds import (
     RULES_DTYPE,
     WATCH_DTYPE,
-    SupervisorSettings,
     load_state,
     rules_record,
     watch_records,
@@ -127,6 +127,8 @@ class Supervisor:
         controller: What is supervised.
         settings: As given.
         watch: (n,) records of `WATCH_DTYPE`: the thresholds.
+        gravity: What the robot itself adds to the torque from this tick on, (n,) [N m]; write it before
+            `step`. Zero: nothing.
         torque_age: Age of the torque samples, (n,) [ticks]; write it before `step`. 0: fresh.
         encoder_age: Age of the encoder samples, (n,) [ticks].
         step: ``step(out) -> status``: one tick on ``controller.inputs``; out (n,) receives torques [N m].
@@ -155,6 +157,7 @@ class Supervisor:
         self.controller, self.settings = controller, settings or SupervisorSettings()
         self.watch = watch_records(controller, drives, self.settings, limits)
         self.guard = native_guard(controller.core, self.watch, self.settings, controller.period)
+        self.gravity = self.guard.gravity
         self.torque_age, self.encoder_age = self.guard.torque_age, self.guard.encoder_age
         self.step = self.guard.step
 

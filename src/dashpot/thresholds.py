@@ -4,96 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf, erfcinv
 
-import dashpot._native as _native
 from dashpot.controller import Controller, Sampling
 from dashpot.drive import Drive
 from dashpot.errors import InputError
 from dashpot.sampled import IN_EFFECT, NX, POSITION_REF, TORQUE, Floats
-from dashpot.tables import check_numbers, number
+from dashpot.supervisorsettings import SupervisorSettings
 
 HOLD_TIME = 0.1  # [s], damping over stiffness of the encoder brake once a joint stands; assumed
 
 
-@dataclass(frozen=True)
-class SupervisorSettings:
-    """What the supervisor may assume and how long it may wait. SI units, link side.
-
-    Thresholds of the rotor balance follow from the drives (docs/supervisor.md). None: from the drives too.
-
-    Attributes:
-        debounce: Ticks of bad samples in a row until a signal is lost.
-        torque_age: Oldest torque sample that is used [ticks].
-        encoder_age: Oldest encoder sample that is used [ticks].
-        speed_limit: No joint moves faster [rad/s].
-        stand: By which the reference may move while the encoder repeats itself [rad]: more than it takes the
-            position loop to overcome friction.
-        torque_range: Range of the torque sensor, as a multiple of the drive's torque limit [-].
-        friction_margin: Relative half-width of friction, where the drive states none [-].
-        model_margin: The same of rotor inertia and viscous friction [-]; both are lower bounds where it does.
-        bias_limit: Sensor bias that is tolerated, as a part of the drive's torque limit [-].
-        false_alarms: Tolerated probability that noise alone trips a check at one tick [-].
-        residual_time: Time constant of the rotor balance [s]; at least 8 ticks.
-        bias_time: Time constant of the bias estimate [s].
-        oscillation_floor: Smallest amplitude that counts, as a part of the drive's torque limit [-].
-        oscillation_corner: Below it nothing counts as oscillation [Hz].
-        oscillation_cycles: Cycles without decay until it does [-].
-        stop_time: A brake must have stopped the arm after it [s].
-        still_speed: Slower counts as at rest [rad/s].
-        still_time: For so long [s].
-        brake_time: After it a braked joint may move on by `drift` [s].
-        drift: Distance that closes the mechanical brake: from where the arm came to rest, and before it has,
-            from where the joint was `brake_time` after the brake began [rad].
-        release_time: Over which the last fallback takes the torque away, the mechanical brake closing [s].
-        keep_load: Whether the encoder brake goes on holding the motor torque there was before the fault,
-            the mean of a tenth of a second.
-    """
-
-    debounce: int = 3
-    torque_age: int = 2
-    encoder_age: int = 2
-    speed_limit: float = number("rad/s", 0, 1e3, open_low=True, typical=(0.1, 30), default=2 * math.pi)
-    stand: float = number("rad", 0, 10, open_low=True, default=0.03)
-    torque_range: float = number("-", 0, 100, open_low=True, default=2.0)
-    friction_margin: float = number("-", 0, 10, default=0.5)
-    model_margin: float = number("-", 0, 1, default=0.1)
-    bias_limit: float = number("-", 0, 1, default=0.01)
-    false_alarms: float = number("-", 1e-15, 1e-3, default=1e-10)
-    residual_time: float = number("s", 0, 1, open_low=True, default=0.02)
-    bias_time: float = number("s", 0, 1e3, open_low=True, default=2.0)
-    oscillation_floor: float = number("-", 0, 1, open_low=True, default=0.02)
-    oscillation_corner: float = number("Hz", 0, 1e3, open_low=True, default=2.0)
-    oscillation_cycles: int = 4
-    stop_time: float = number("s", 0, 60, open_low=True, default=2.0)
-    still_speed: float = number("rad/s", 0, 10, open_low=True, default=0.02)
-    still_time: float = number("s", 0, 10, open_low=True, default=0.1)
-    brake_time: float = number("s", 0, 60, open_low=True, default=0.3)
-    drift: float = number("rad", 0, 10, open_low=True, default=0.1)
-    release_time: float = number("s", 0, 10, open_low=True, default=0.1)
-    keep_load: bool = True
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
-        for key, low, high in (
-            ("debounce", 1, _native.HISTORY // 2),
-            ("torque_age", 0, 1000),
-            ("encoder_age", 0, 1000),
-            ("oscillation_cycles", 2, 1000),
-        ):
-            value = getattr(self, key)
-            if type(value) is not int or not low <= value <= high:
-                raise InputError(f"must be a whole number, {low} to {high}", quantity=key, value=value)
-        if type(self.keep_load) is not bool:
-            raise InputError("must be true or false", quantity="keep_load", value=self.keep_load)
-
-
 _WATCH: tuple[str, ...] = ("inertia", "viscous", "inertia_error", "viscous_error", "torque_error")
-_WATCH += ("torque_mid", "torque_lag", "allowance", "noise", "torque_range", "torque_rate", "torque_jump")
+_WATCH += (
+    "torque_mid",
+    "torque_lag",
+    "allowance",
+    "noise",
+    "noise_tick",
+    "torque_range",
+    "torque_rate",
+    "torque_jump",
+)
 _WATCH += (
     "lower",
     "upper",
@@ -149,6 +84,28 @@ def load_state(block: NDArray[np.void]) -> Floats:
     if n and np.linalg.cond(system) < 1e12:
         state[:n] = np.linalg.solve(system, forcing)[:n]
     return state
+
+
+def stand_of(block: NDArray[np.void], friction: float) -> float:
+    """How far a reference may go while friction holds a joint [rad]: ``2 friction / kappa``.
+
+    kappa = du/d(reference) of the block in equilibrium, position and sensed torque constant. A resting rotor
+    carries ``u - tau_s``, from -friction to +friction. An integrator only shortens that: of a block that has
+    one, kappa is its direct gain. Infinite without a position loop: nothing has to follow.
+
+    Args:
+        block: The joint's controller block.
+        friction: Largest of the resting rotor [N m].
+    """
+    n = int(block["nx"])
+    system = np.zeros((n + 1, n + 1))
+    system[:n, :n] = np.eye(n) - block["A"][:n, :n]
+    system[:n, n] = -block["B"][:n, IN_EFFECT]
+    system[n, :n], system[n, n] = -block["C"][:n], 1 - block["D"][IN_EFFECT]
+    forcing = np.append(block["B"][:n, POSITION_REF], block["D"][POSITION_REF])
+    settles = np.linalg.cond(system) < 1e12
+    kappa = abs(float(np.linalg.solve(system, forcing)[n] if settles else forcing[n]))
+    return 2 * friction / kappa if kappa > 0 else math.inf
 
 
 def _gain(period: float, time: float) -> float:
@@ -220,13 +177,14 @@ def watch_record(
     record["torque_lag"] = lag / period
     record["allowance"] = friction + bias
     record["noise"] = sigmas * noise * math.sqrt(gain / (2 - gain)) + 2 * gain * m * resolution / period**2
+    record["noise_tick"] = sigmas * noise + 2 * m * resolution / period**2
     record["torque_range"] = s.torque_range * drive.torque_limit
     record["torque_rate"] = 2 * s.speed_limit * k * period
     record["torque_jump"] = 4 * s.speed_limit * c + 2 * sigmas * noise + drive.hysteresis
     record["lower"], record["upper"] = limits
     record["speed_limit"], record["jump"] = s.speed_limit, 2 * resolution
-    # Without a position loop nothing has to follow.
-    record["stand"] = s.stand if block["D"][POSITION_REF] else 1e12
+    stand = stand_of(block, friction)
+    record["stand"] = min(stand if s.stand is None or math.isinf(stand) else s.stand, 1e12)
     record["mismatch"] = 0.02 * s.speed_limit + 2 * gain * resolution / period
     record["bias_limit"] = bias
     record["moving"] = max(0.02, 4 * resolution / period)

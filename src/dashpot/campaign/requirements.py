@@ -55,6 +55,10 @@ class Requirement:
         unit = MEASURES[self.measure].unit
         return unit.replace("rad", "deg") if self.degrees else unit
 
+    def allows(self, value: float) -> bool:
+        """Whether a value of the measure [SI] keeps the bounds; NaN, of a scenario that is lost, does not."""
+        return self.low <= value <= self.high and (not self.among or value in self.among)
+
     @property
     def words(self) -> str:
         """The requirement in words."""

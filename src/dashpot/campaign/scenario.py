@@ -176,8 +176,11 @@ class Campaign:
         moved = tuple(values.get(key) for key in ("pose", "amplitude", "trajectory"))
         plain = self._keep("path", (period, moved), lambda: self._path(values, period))
         config = self.config(name, gains)
+        carried = spec.gravity_compensation and self.robot.gravity_compensation
         path = self._keep(
-            "fed", (name, gains, period, moved), lambda: with_feedforward(self.robot, config, plain)
+            "fed",
+            (name, gains, period, moved),
+            lambda: with_feedforward(self.robot, config, plain, carried=carried),
         )
         events = tracking_events(config, path.start)
         if spec.release is not None:
@@ -194,7 +197,8 @@ class Campaign:
             f"scenario {setting.index}",
             faults=script.faults_of(config),
             payload_changes=script.changes(setting.payload, spec.file),
-            supervisor=spec.supervisor,
+            supervisor=None if spec.supervisor is None else replace(config.supervisor, **spec.supervisor),
+            gravity_compensation=spec.gravity_compensation,
         )
 
     def _plant(self, values: Mapping[str, Any], payload: Payload, period: float) -> Plant:

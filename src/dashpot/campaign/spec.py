@@ -6,7 +6,7 @@ import json
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
@@ -18,7 +18,7 @@ from dashpot.campaign.axes import NO_FAULT, Axis, distinct, parse_axes
 from dashpot.campaign.requirements import Requirement, parse_requirements
 from dashpot.errors import InputError
 from dashpot.sampled import Floats
-from dashpot.supervisor import SupervisorSettings
+from dashpot.supervisorsettings import SupervisorSettings
 from dashpot.tables import as_float, check_keys, check_numbers, number
 
 PRESETS = ("readiness",)
@@ -28,6 +28,7 @@ CHUNK = 16  # scenarios at most that one worker runs before they are kept, unles
 CHUNKS = 32  # a small campaign is cut into this many, so that every core has work
 KEYS = {
     *("robot", "controller", "motion", "duration", "lead_in", "amplitude", "release", "tap", "supervisor"),
+    "gravity_compensation",
     *("sample", "count", "seed", "chunk", "axes", "poses", "requirements"),
 }
 
@@ -46,7 +47,9 @@ class Spec:
         amplitude: Of the multisine [rad], where it is no axis.
         release: Time at which the position loop's offset is removed [s], or None.
         tap: Knock on the last link at time 0 [N m].
-        supervisor: Settings of the supervisor that runs in every scenario; None: none does.
+        supervisor: One runs in every scenario, with these settings in place of those in the
+            controller's file; None: none does.
+        gravity_compensation: Whether the robot's own is on, where its file says that it has one.
         sample: "latin_hypercube", "sobol", or None: no axis is sampled.
         count: Points of the sample.
         seed: Of the sample and of random poses.
@@ -67,7 +70,8 @@ class Spec:
     amplitude: float = number("rad", 0, 4 * math.pi, default=0.3)
     release: float | None = number("s", -1e3, 1e5, default=None)
     tap: float = number("N m", -1e5, 1e5, default=0.0)
-    supervisor: SupervisorSettings | None = None
+    supervisor: Mapping[str, Any] | None = None
+    gravity_compensation: bool = False
     sample: str | None = None
     count: int = 0
     seed: int = 0
@@ -94,6 +98,8 @@ class Spec:
             raise self._refuse(f"must be 1 to {MOST} points of the sample", "count", self.count)
         if not sampled and self.count:
             raise self._refuse("is for samples only", "count", self.count)
+        if type(self.gravity_compensation) is not bool:
+            raise self._refuse("must be true or false", "gravity_compensation", self.gravity_compensation)
         if type(self.seed) is not int or not 0 <= self.seed < 2**31:
             raise self._refuse("must be a whole number, not negative", "seed", self.seed)
         if self.chunk is not None and (type(self.chunk) is not int or not 1 <= self.chunk <= 10_000):
@@ -313,26 +319,16 @@ class Spec:
         return Path(name) if self.file is None else self.file.parent / name
 
 
-def _supervisor(entry: Any, file: object) -> SupervisorSettings | None:
-    """True, false, or a table of settings."""
+def _supervisor(entry: Any, file: object) -> Mapping[str, Any] | None:
+    """True, false, or a table of settings: what differs from the controller's own."""
     if isinstance(entry, bool):
-        return SupervisorSettings() if entry else None
+        return {} if entry else None
     if not isinstance(entry, Mapping):
         raise InputError(
             "must be true, false or a table of settings", file=file, quantity="supervisor", value=entry
         )
-    check_keys(entry, {f.name for f in fields(SupervisorSettings)}, set(), file=f"{file}: supervisor")
-    kinds = {f.name: f.type for f in fields(SupervisorSettings)}
-    values: dict[str, Any] = {
-        key: as_float(value) if kinds[key] == "float" and type(value) is int else value
-        for key, value in entry.items()
-    }
-    try:
-        return SupervisorSettings(**values)
-    except InputError as error:
-        raise InputError(
-            error.rule, file=file, quantity=f"supervisor.{error.quantity}", value=error.value
-        ) from None
+    settings = SupervisorSettings.from_table(entry, file=file)
+    return {key: getattr(settings, key) for key in entry}
 
 
 def _poses(table: Mapping[str, Any], file: object) -> dict[str, tuple[float, ...]]:

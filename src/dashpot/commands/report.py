@@ -67,9 +67,9 @@ def _page(
     status = dataset["status"].values.ravel()
     done, met = int((status > 0).sum()), sum(verdict.holds for verdict in verdicts)
     lead = f"{met} of {len(verdicts)} requirements are met" if verdicts else "Nothing is required"
-    lead += f", over {done} simulated scenarios; {int(good.sum())} of them keep every bound."
+    lead += f", over {done:,} simulated scenarios; {int(good.sum()):,} of them keep every bound."
     if done < spec.size:
-        lead += f" The campaign is not finished: {spec.size - done} of {spec.size} scenarios are missing."
+        lead += f" The campaign is not finished: {spec.size - done:,} of {spec.size:,} scenarios are missing."
     sections = []
     if verdicts:
         sections += [
@@ -88,7 +88,7 @@ def _page(
         ("Provenance", _provenance(about)),
     ]
     return page(
-        f"{about['title'].removeprefix('dashpot campaign of ')}: campaign of {spec.size} scenarios",
+        f"{about['title'].removeprefix('dashpot campaign of ')}: campaign of {spec.size:,} scenarios",
         lead,
         sections,
     )
@@ -104,13 +104,13 @@ def _requirements(spec: Spec, verdicts: Sequence[Verdict]) -> str:
                 need.words,
                 "holds" if verdict.holds else "fails",
                 f"{100 * verdict.kept:.4g} %" if judged else "nothing to judge",
-                verdict.joint or "-",
+                verdict.joint or "all",
                 amount(need, verdict.quantile) if judged else "-",
-                str(verdict.judged),
+                f"{verdict.judged:,}",
                 *([f"{100 * verdict.assured:.3g} %" if judged else "-"] if spec.sampled else []),
             ]
         )
-    head = ["requirement", "verdict", "kept", "least by", "at the quantile", "scenarios"]
+    head = ["requirement", "verdict", "kept", "joint", "at the quantile", "scenarios"]
     note = "Kept is the share of the scenarios in which the bound is kept, of the joint where it is least."
     if spec.sampled:
         head.append("assured")
@@ -124,19 +124,30 @@ def _requirements(spec: Spec, verdicts: Sequence[Verdict]) -> str:
 
 
 def _worst(verdicts: Sequence[Verdict], place: Path) -> str:
+    broken = [(v, case) for v in verdicts for case in v.worst if not v.requirement.allows(case.value)]
     rows = [
         [
             verdict.requirement.measure,
             case_words(verdict.requirement, case),
+            "not kept" if (verdict, case) in broken else "kept",
             replay_command(place, case.index),
         ]
-        for verdict in verdicts
-        for case in verdict.worst
+        for verdict, case in broken + [(verdict, verdict.worst[0]) for verdict in verdicts if _close(verdict)]
     ]
-    html = table(["measure", "scenario and joint", "to see it"], rows)
-    for _, _, command in rows:
+    if not rows:
+        return "<p>Every scenario keeps every bound by the widest margin there is.</p>"
+    html = table(["measure", "scenario and joint", "bound", "to see it"], rows)
+    for *_, command in rows:
         html = html.replace(f"<td>{escape(command)}</td>", f"<td><code>{escape(command)}</code></td>")
     return html
+
+
+def _close(verdict: Verdict) -> bool:
+    """Whether its worst case says something although every scenario keeps the bound: not that of a count."""
+    need = verdict.requirement
+    if verdict.kept < 1 or not verdict.worst or need.among:
+        return False
+    return verdict.worst[0].value not in (need.low, need.high)
 
 
 def _failed(dataset: Any, status: Any, place: Path) -> str:

@@ -19,7 +19,7 @@ from dashpot.plots import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION, new_figu
 from dashpot.sampled import Floats
 
 BINS = 8  # of a sampled payload
-CELLS = 24  # rows and columns of a matrix at most
+ROWS, CELLS = 60, 24  # rows and columns of a matrix at most
 STYLES = [(c, d) for d in ("-", "--", ":") for c in (BLUE, VERMILLION, GREEN, PURPLE, BLACK)]
 VERDICTS = LinearSegmentedColormap.from_list("verdicts", ["#D55E00", "#F6E3C5", "#009E73"])
 
@@ -90,6 +90,7 @@ def distribution(spec: Spec, dataset: Any, good: Any, folder: Path) -> Picture |
         )
     axis.set_xscale("log")
     axis.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axis.set_xlim(left=floor)
     axis.set_ylim(0, 103)
     axis.set_xlabel(f"{what} [deg]")
     axis.set_ylabel("scenarios beyond it [%]")
@@ -137,7 +138,7 @@ def against_payload(spec: Spec, dataset: Any, good: Any, folder: Path) -> Pictur
         axis.fill_between(at, low, high, color=BLUE, alpha=0.2, lw=0, label="5 to 95 % of the scenarios")
         axis.plot(at, middle, color=BLUE, marker="o", ms=3.5, label="median")
         axis.set_title(str(dataset["joint"].values[j]), parse_math=False)
-        axis.set_ylim(bottom=0)
+        axis.set_ylim(0, 1.08 * np.nanmax(high) if np.isfinite(high).any() else None)
         axis.tick_params(labelbottom=True)
         if j + columns >= n:
             axis.set_xlabel("payload [kg]")
@@ -156,12 +157,13 @@ def against_payload(spec: Spec, dataset: Any, good: Any, folder: Path) -> Pictur
 
 def matrix(spec: Spec, dataset: Any, good: Any, folder: Path) -> Picture | None:
     """Share of scenarios that keep every bound, over fault and payload or the two longest grid axes."""
-    wide = sorted((a for a in spec.grid if 1 < len(a.values) <= CELLS), key=lambda a: -len(a.values))
+    wide = sorted((a for a in spec.grid if 1 < len(a.values) <= ROWS), key=lambda a: -len(a.values))
     first = [a for name in ("fault", "payload") for a in wide if a.name == name]
-    chosen = (first + [a for a in wide if a not in first])[:2]
-    if not chosen:
+    ranked = first + [a for a in wide if a not in first]
+    if not ranked:
         return None
-    down, across = chosen[0], chosen[1] if len(chosen) > 1 else None
+    down, across = ranked[0], next((a for a in ranked[1:] if len(a.values) <= CELLS), None)
+    chosen = [down] if across is None else [down, across]
     done = dataset["status"].values > 0
     keep = tuple(i for i, dim in enumerate(spec.dims) if dim not in [a.label for a in chosen])
     total, kept = done.sum(axis=keep), (good.reshape(spec.shape) & done).sum(axis=keep)
@@ -172,14 +174,17 @@ def matrix(spec: Spec, dataset: Any, good: Any, folder: Path) -> Picture | None:
         total, kept = total.T, kept.T
     share = np.divide(kept, total, out=np.full(total.shape, np.nan), where=total > 0)
     height, width = share.shape
-    figure, axes = new_figure(1, 1, max(4.2, 2.6 + 0.75 * width), 1.3 + 0.38 * height)
+    figure, axes = new_figure(
+        1, 1, max(4.2, 2.6 + 0.75 * width), 1.3 + (0.38 if height < 12 else 0.27) * height
+    )
     axis = axes[0, 0]
     axis.grid(False)
-    axis.pcolormesh(share, cmap=VERDICTS, vmin=0, vmax=1, edgecolors="white", linewidth=2)
+    shade = np.where(share < 1, 0.75 * share, 1.0)  # one that is not kept must show among many
+    axis.pcolormesh(shade, cmap=VERDICTS, vmin=0, vmax=1, edgecolors="white", linewidth=2)
     axis.invert_yaxis()
     for i in range(height):
         for j in range(width):
-            dark = share[i, j] < 0.2 or share[i, j] > 0.85
+            dark = shade[i, j] < 0.2 or shade[i, j] > 0.85
             colour = "white" if dark else BLACK
             axis.text(
                 j + 0.5,

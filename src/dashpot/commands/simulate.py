@@ -23,7 +23,6 @@ from dashpot.release import release_events, tracking_events
 from dashpot.rivals.gravity import with_feedforward
 from dashpot.robot import MAX_ANGLE, Robot
 from dashpot.simulate import Event, Scenario, run
-from dashpot.supervisor import SupervisorSettings
 from dashpot.testbench import tap
 from dashpot.trace import run_traced
 from dashpot.trajectory import Trajectory, hold, multisine
@@ -49,18 +48,26 @@ def simulate(options: Simulate) -> int:
         check_log_path(options.log, "--log")
     quiet_engine()
     robot, config = Robot.load(options.robot), load_controller(options.controller)
+    if options.gravity_compensation and not robot.gravity_compensation:
+        raise InputError(
+            "this robot has none of its own; if it does, say gravity_compensation = true in its file",
+            file=robot.file,
+            quantity="--gravity-compensation",
+        )
     controller = Controller.from_config(config, robot.drives)
     payload = Payload(options.payload, _offset(options))
     # A log stands for the real thing, whose friction and damping do not depend on a time step.
     step = config.period if options.log is None else config.period / math.ceil(config.period / LOGGED)
     plant = build(robot, step, [payload] if payload.mass > 0 else [])
-    path = with_feedforward(robot, config, _path(options, robot, config.period))
+    path = _path(options, robot, config.period)
+    path = with_feedforward(robot, config, path, carried=options.gravity_compensation)
     _warn_of_range(plant, path, options)
-    _warn_of_saturation(plant, path, payload)
+    _warn_of_saturation(plant, path, payload, options.gravity_compensation)
     faults, changes = read_faults(options.fault), read_changes(options.payload_at, payload)
     for change in changes:
         if change.payload is not None:
-            _warn_of_saturation(with_payload(plant, change.payload, config.period), path, change.payload)
+            loaded = with_payload(plant, change.payload, config.period)
+            _warn_of_saturation(loaded, path, change.payload, options.gravity_compensation)
     bypassed = controller.joints if "all" in options.bypass else options.bypass
     events = [Event(path.start, joint, "mode", "bypass") for joint in bypassed]
     events += tracking_events(config, path.start, bypassed)
@@ -83,7 +90,8 @@ def simulate(options: Simulate) -> int:
             options.seed,
             faults=faults,
             payload_changes=changes,
-            supervisor=SupervisorSettings() if options.supervise else None,
+            supervisor=config.supervisor if options.supervise else None,
+            gravity_compensation=options.gravity_compensation,
         )
         traced = options.log is not None and options.log.suffix.lower() == ".mcap"
         recording, trace = run_aside(lambda: run_traced(scenario) if traced else (run(scenario), None))
@@ -195,10 +203,14 @@ def _warn_of_range(plant: Plant, path: Trajectory, options: Simulate) -> None:
             warnings.warn(str(message), InputWarning, stacklevel=2)
 
 
-def _warn_of_saturation(plant: Plant, path: Trajectory, payload: Payload) -> None:
+def _warn_of_saturation(plant: Plant, path: Trajectory, payload: Payload, carried: bool) -> None:
     """Warns of joints whose motor cannot hold the load somewhere along the path."""
     some = path.position[:: max(1, len(path.position) // 50)]
-    load = np.abs([plant.load_torque(q) for q in some]).max(0)
+    torque = np.array([plant.load_torque(q) for q in some])
+    if carried:  # the limit is that of the command
+        bare = with_payload(plant, None, path.period)
+        torque -= [bare.load_torque(q) for q in some]
+    load = np.abs(torque).max(0)
     for drive, torque in zip(plant.robot.drives, load, strict=True):
         if torque > drive.torque_limit:
             if payload.mass > 0:

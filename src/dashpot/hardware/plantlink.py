@@ -16,7 +16,7 @@ import numpy as np
 import dashpot._native as _native
 from dashpot.errors import InputError
 from dashpot.faults import Fault
-from dashpot.loop import carry, loads, mj_step
+from dashpot.loop import carry, engine, loads
 from dashpot.plant import Plant
 from dashpot.recording import CHANNELS, Recording
 from dashpot.sampled import Floats
@@ -102,7 +102,7 @@ class PlantLink:
         self.carried = self._rest(at)
         # Always with a script: brakes close through it.
         self._faults = native_faults(faults, self.plant, plant.robot.joints, clock, seed)
-        self._arm = _native.Arm(drives.view(np.uint8), mj_step(), self.plant.timestep, steps, self._faults)
+        self._arm = _native.Arm(drives.view(np.uint8), engine("mj_step"), self.plant.timestep, steps, self._faults)
         self._connect()
         self._spring, self._spring_dof = np.array(drives["spring_qpos"]), self.plant.spring_dof
         self.torque_age, self.encoder_age = self._arm.torque_age, self._arm.encoder_age

@@ -33,17 +33,21 @@ def gravity_reference(model: Plant | Robot, payload: Payload | None, trajectory:
     return np.asarray(torque[same.ravel()])
 
 
-def with_feedforward(robot: Robot, config: ControllerConfig | None, trajectory: Trajectory) -> Trajectory:
+def with_feedforward(
+    robot: Robot, config: ControllerConfig | None, trajectory: Trajectory, *, carried: bool = False
+) -> Trajectory:
     """The trajectory with the torque references that laws "pd_gravity" of a controller ask for.
 
     Each such joint gets its own, of its own assumed payload; a torque that is there already is added to.
+    Where the robot's own gravity compensation is on (`carried`), the bare arm's weight is left out.
     """
     laws = [law for law in config.joints if isinstance(law, PDGravity)] if config is not None else []
     if not laws:
         return trajectory
+    own = gravity_reference(robot, None, trajectory) if carried else 0.0
     total = np.zeros_like(trajectory.position) if trajectory.torque is None else trajectory.torque.copy()
     for payload, offset in {(law.payload, law.offset) for law in laws}:
-        torque = gravity_reference(robot, Payload(payload, offset), trajectory)
+        torque = gravity_reference(robot, Payload(payload, offset), trajectory) - own
         for law in laws:
             if (law.payload, law.offset) == (payload, offset):
                 total[:, robot.index(law.name)] += torque[:, robot.index(law.name)]

@@ -11,10 +11,10 @@ and their figure, docs/images/rivals-arms.png.
    and have no law; encoder damping keeps its encoder.
 3. Trackers: the same motions without a loss, and a rest for the noise of the torque.
 
-``--seeds`` motions are run with every payload, the same for every brake and tracker, and a quarter of them
-on arms that are shown apart. The fr3's own weight is balanced: once the encoders are gone nothing carries
-it, and what would be compared is who holds 35 N m, not who brakes. "fr3 with its weight" shows what happens
-then.
+``--seeds`` motions are run with every payload, the same for every brake, ``--tracker-seeds`` of them for
+trackers, and an eighth of both on arms that are shown apart. The fr3's own weight is balanced: once the
+encoders are gone nothing carries it, and what would be compared is who holds 35 N m, not who brakes. "fr3 with
+its weight" shows what happens then.
 
 What is made is kept in ``--parts``, piece by piece: a run that is stopped goes on where it was.
 """
@@ -61,7 +61,7 @@ from dashpot.studies.rivals_arms_tables import write_document
 from dashpot.studies.rivals_arms_tuning import tuned
 from dashpot.workers import cores, each
 
-SEEDS, BUDGET, SEED = 168, 24, 1  # 504 runs per arm and row with three payloads
+SEEDS, TRACKER_SEEDS, BUDGET, SEED = 168, 42, 24, 1  # 504 runs per arm and brake with three payloads
 CHUNK = 42  # seeds that are run at once, and kept
 QUANTILES = (5.0, 25.0, 50.0, 75.0, 95.0)  # of stop angles, for the figure
 Say = Callable[[str], None]
@@ -273,6 +273,7 @@ def certified(arm: Arm, controllers: Sequence[ControllerConfig], brakes: bool, p
 
 def study(
     seeds: int,
+    tracker_seeds: int,
     budget: int,
     seed: int,
     *,
@@ -286,7 +287,8 @@ def study(
     """The whole comparison; for JSON.
 
     Args:
-        seeds: Motions per payload.
+        seeds: Motions per payload for brakes.
+        tracker_seeds: For trackers.
         budget: Sets tried per tuned number.
         seed: The first of the motions, and that of the tuning.
         found: Laws found before; None: they are tuned and designed now.
@@ -309,7 +311,8 @@ def study(
         for arm in arms:
             if arm.like and not braked:  # the links' weight is no matter of tracking
                 continue
-            runs = Runs(arm, range(seed, seed + max(1, seeds // arm.share)), parts)
+            motions = max(1, (seeds if braked else tracker_seeds) // arm.share)
+            runs = Runs(arm, range(seed, seed + motions), parts)
             configs = {rival: made for rival in rivals if (made := chosen(arm, rival, found)) is not None}
             verdicts: list[Any] = [None] * len(configs)
             if not arm.like:
@@ -328,7 +331,8 @@ def study(
                     row["refused"] = refusal(found.designed[arm.like or arm.name][rival.duty])
                 rows[part].append(row)
     return {
-        "command": f"python -m dashpot.studies.rivals_arms --seeds {seeds} --budget {budget} --seed {seed}",
+        "command": f"python -m dashpot.studies.rivals_arms --seeds {seeds} --tracker-seeds {tracker_seeds} "
+        f"--budget {budget} --seed {seed}",
         "seed": seed,
         "seeds_per_payload": seeds,
         "budget": budget,
@@ -358,7 +362,8 @@ def files_of(robot: Robot) -> list[Path]:
 def main() -> None:
     """Runs the study and writes JSON, tables and figure."""
     parser = argparse.ArgumentParser(description="Every brake and tracker on whole arms.")
-    parser.add_argument("--seeds", type=int, default=SEEDS, help="motions per payload")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="motions per payload, for brakes")
+    parser.add_argument("--tracker-seeds", type=int, default=TRACKER_SEEDS, help="the same, for trackers")
     parser.add_argument("--budget", type=int, default=BUDGET, help="sets tried per tuned number and drive")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument(
@@ -375,6 +380,7 @@ def main() -> None:
         files = [path for arm in ARMS for path in files_of(robot(arm))]
         result = study(
             options.seeds,
+            options.tracker_seeds,
             options.budget,
             options.seed,
             parts=Parts(options.parts, Path(_native.__file__), *files),

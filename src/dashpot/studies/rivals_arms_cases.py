@@ -70,14 +70,13 @@ class Arm:
         return hash(self.name)
 
 
-QUARTER = 4
 _WRIST = {"wrist": ("joint5", "joint6", "joint7")}
 _FR3 = {"large": ("joint1", "joint2", "joint3", "joint4"), "small": ("joint5", "joint6", "joint7")}
 ARMS = (
     Arm("k807", "k807", "k807-wrist", _WRIST, (0.5, 2.0, 5.0), 0.23),
     Arm("fr3", "fr3", "fr3", _FR3, (0.5, 1.5, 3.0), 0.1, balanced=True),
-    Arm("k807 at 1 kHz", "k807", "k807-wrist", _WRIST, (0.5, 2.0, 5.0), 0.23, period=1e-3, share=QUARTER),
-    Arm("fr3 with its weight", "fr3", "fr3", _FR3, (0.5, 1.5, 3.0), 0.1, like="fr3", share=QUARTER),
+    Arm("k807 at 1 kHz", "k807", "k807-wrist", _WRIST, (0.5, 2.0, 5.0), 0.23, period=1e-3, share=8),
+    Arm("fr3 with its weight", "fr3", "fr3", _FR3, (0.5, 1.5, 3.0), 0.1, like="fr3", share=8),
 )
 
 

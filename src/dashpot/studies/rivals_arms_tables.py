@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +21,11 @@ def document(result: Mapping[str, Any]) -> str:
 def _lines(result: Mapping[str, Any]) -> Iterator[str]:
     runs = {row["arm"]: row["scenarios"] for row in result["brakes"] if "scenarios" in row}
     most = max(runs.values())
-    few = {number for number in runs.values() if number < most}
-    apart = f" ({', '.join(map(str, sorted(few)))} on arms shown apart)" if few else ""
-    yield f"{most} runs per arm and row{apart}, a third of them with each payload;"
-    yield f"`{result['command']}`. Median / 95th percentile of each run's worst joint."
+    yield f"Made by `{result['command']}`."
+    yield f"{most} runs per brake ({_fewer(runs.values())} on arms shown apart) and"
+    tracked = [row["scenarios"] for row in result["trackers"] if "scenarios" in row]
+    yield f"{max(tracked)} per tracker ({_fewer(tracked)}), a third of them with each payload."
+    yield "Median / 95th percentile of each run's worst joint."
     for arm in runs:
         rows = [row for row in result["brakes"] if row["arm"] == arm]
         for payload in _payloads(rows) if runs[arm] == most else [None]:
@@ -37,6 +38,12 @@ def _lines(result: Mapping[str, Any]) -> Iterator[str]:
         yield from ("", f"**Trackers, {TITLES[arm]}**", "")
         yield from _trackers(rows)
         yield from _refusals(rows)
+
+
+def _fewer(runs: Iterable[int]) -> str:
+    """The numbers below the largest."""
+    numbers = sorted(set(runs))
+    return ", ".join(map(str, numbers[:-1])) or "as many"
 
 
 def _payloads(rows: list[Any]) -> list[str]:

@@ -13,8 +13,8 @@ and their figure, docs/images/rivals-arms.png.
 
 ``--seeds`` motions are run with every payload, the same for every brake, ``--tracker-seeds`` of them for
 trackers, and an eighth of both on arms that are shown apart. The fr3's own weight is balanced: once the
-encoders are gone nothing carries it, and what would be compared is who holds 35 N m, not who brakes. "fr3 with
-its weight" shows what happens then.
+encoders are gone nothing carries it, and what would be compared is who holds 35 N m, not who brakes. "fr3
+with its weight" shows what happens then.
 
 What is made is kept in ``--parts``, piece by piece: a run that is stopped goes on where it was.
 """

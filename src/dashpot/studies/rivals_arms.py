@@ -335,6 +335,7 @@ def study(
         f"--budget {budget} --seed {seed}",
         "seed": seed,
         "seeds_per_payload": seeds,
+        "tracker_seeds_per_payload": tracker_seeds,
         "budget": budget,
         "tuning": found.tuned,
         "designs": found.designed,

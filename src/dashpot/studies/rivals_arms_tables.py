@@ -11,6 +11,8 @@ BEGIN, END = "<!-- rivals_arms: made by its command -->", "<!-- rivals_arms: end
 TITLES = {"k807": "wrist of the k807, 200 Hz", "k807 at 1 kHz": "wrist of the k807, 1 kHz"}
 TITLES |= {"fr3": "fr3 with its own weight balanced, 1 kHz"}
 TITLES |= {"fr3 with its weight": "fr3 with its own weight, which nothing carries, 1 kHz"}
+SHORT = {"k807": "k807 wrist, 200 Hz", "k807 at 1 kHz": "k807 wrist, 1 kHz"}
+SHORT |= {"fr3": "fr3, balanced", "fr3 with its weight": "fr3 with its weight"}
 
 
 def document(result: Mapping[str, Any]) -> str:
@@ -151,7 +153,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
             axis.plot([median], [i], "D" if ours else "s" if bound else "o", color=colour, ms=5)
         axis.set_xscale("log")
         axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_title({"k807": "k807 wrist", "fr3": "fr3, balanced"}.get(arm, arm))
+        axis.set_title(SHORT[arm])
         axis.set_xlabel("stop angle of the worst joint [deg]")
         axis.grid(axis="y", visible=False)
     names = [row["name"] for row in result["brakes"] if row["arm"] == arms[0]]

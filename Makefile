@@ -51,7 +51,8 @@ evidence-rivals: $(VENV)/.installed
 	$(BIN)/python -m dashpot.studies.rivals_tuning > docs/evidence/rivals.json.part
 	mv docs/evidence/rivals.json.part docs/evidence/rivals.json
 
-# About an hour and a half on two cores: every brake and tracker on whole arms, 504 runs per arm and brake.
+# About an hour on two cores: every brake and tracker on whole arms, 504 runs per arm and brake.
+# Goes on where it was stopped; `rm -r out/rivals-arms` to begin anew.
 evidence-rivals-arms: $(VENV)/.installed
 	$(BIN)/python -m dashpot.studies.rivals_arms
 

@@ -26,8 +26,10 @@ from dashpot.studies.rivals_tuning import ASSUMED
 from dashpot.trajectory import Trajectory, hold, multisine
 
 AMPLITUDE, RAMP = 0.35, 0.6  # [rad] about home, and [s] in which the motion swells
-LOST, WATCHED = 1.2, 2.5  # [s]: when all encoders are lost, and how long is watched then
+LOST, WATCHED = 1.2, 6.0  # [s]: when all encoders are lost, and how long is watched then
 TRACKED, REST = 3.0, 0.8  # [s] of a tracker's motion and of its rest
+SETTINGS = {"amplitude": AMPLITUDE, "ramp": RAMP, "lost": LOST, "watched": WATCHED}
+SETTINGS |= {"tracked": TRACKED, "rest": REST}
 Laws = Mapping[str, Law]  # drive type -> law, its name a placeholder
 
 
@@ -43,6 +45,9 @@ class Arm:
         payloads: On the flange, lightest first [kg]; the smallest stands for an empty tool.
         offset: Of their centre along the flange's x axis [m].
         balanced: Whether the arm's own weight is taken off it.
+        period: Of the controllers, instead of the bundled one's [s].
+        like: Name of the arm whose tuned and designed laws it takes over; empty: it has its own.
+        share: One in how many motions is run; above 1, the arm is shown apart.
     """
 
     name: str
@@ -52,6 +57,9 @@ class Arm:
     payloads: tuple[float, ...]
     offset: float
     balanced: bool = False
+    period: float | None = None
+    like: str = ""
+    share: int = 1
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -62,11 +70,13 @@ class Arm:
         return hash(self.name)
 
 
+_WRIST = {"wrist": ("joint5", "joint6", "joint7")}
 _FR3 = {"large": ("joint1", "joint2", "joint3", "joint4"), "small": ("joint5", "joint6", "joint7")}
 ARMS = (
-    Arm("k807", "k807", "k807-wrist", {"wrist": ("joint5", "joint6", "joint7")}, (0.5, 2.0, 5.0), 0.23),
+    Arm("k807", "k807", "k807-wrist", _WRIST, (0.5, 2.0, 5.0), 0.23),
     Arm("fr3", "fr3", "fr3", _FR3, (0.5, 1.5, 3.0), 0.1, balanced=True),
-    Arm("fr3 with its weight", "fr3", "fr3", _FR3, (0.5, 1.5, 3.0), 0.1),
+    Arm("k807 at 1 kHz", "k807", "k807-wrist", _WRIST, (0.5, 2.0, 5.0), 0.23, period=1e-3, share=8),
+    Arm("fr3 with its weight", "fr3", "fr3", _FR3, (0.5, 1.5, 3.0), 0.1, like="fr3", share=8),
 )
 
 
@@ -80,7 +90,7 @@ def robot(arm: Arm) -> Robot:
 def plant(arm: Arm, payload: float) -> Plant:
     """The elastic arm with a payload [kg]."""
     whole = robot(arm)
-    period = load_controller(arm.controller).period
+    period = bundled(arm).period
     loads = [Payload(payload, arm.offset)] if payload else []
     if not arm.balanced:
         return build(whole, period, loads)
@@ -100,7 +110,7 @@ def benches(arm: Arm) -> dict[str, Bench]:
     Its link goes from the lightest with the smallest payload to the heaviest with the largest, its load up to
     the largest that weight puts on a joint of that type, all at home.
     """
-    whole, config = robot(arm), load_controller(arm.controller)
+    whole, config = robot(arm), bundled(arm)
     lightest, full = plant(arm, arm.payloads[0]), plant(arm, arm.payloads[-1])
     home = np.asarray(whole.home, float)
     load = np.abs(full.load_torque(home))
@@ -121,8 +131,9 @@ def _link_inertia(plant: Plant, pose: Any) -> Any:
 
 
 def bundled(arm: Arm) -> ControllerConfig:
-    """The hand-picked virtual passive controller."""
-    return load_controller(arm.controller)
+    """The hand-picked virtual passive controller, at the arm's period."""
+    config = load_controller(arm.controller)
+    return config if arm.period is None else replace(config, period=arm.period, file=None)
 
 
 def config(arm: Arm, laws: Laws) -> ControllerConfig:
@@ -175,8 +186,9 @@ def stop(arm: Arm, config: ControllerConfig, payload: float, seed: int, fault: s
         fault: Of every controlled drive from then on, or None.
     """
     made = controller(arm, config)
+    duration = LOST + WATCHED + config.period  # the last tick is at its end
     path = multisine(
-        robot(arm).home, LOST + WATCHED, config.period, seed, amplitude=AMPLITUDE, ramp=RAMP, lead_in=0.0
+        robot(arm).home, duration, config.period, seed, amplitude=AMPLITUDE, ramp=RAMP, lead_in=0.0
     )
     faults = [Fault(fault, LOST, joint=law.name) for law in config.joints] if fault else []  # type: ignore[arg-type]
     return Scenario(plant(arm, payload), made, path, loss(config), seed=seed, faults=faults)

@@ -27,9 +27,11 @@ from dashpot.studies.rivals_arms_cases import (
     robot,
 )
 
-STOPPED, SLOW = 0.05, 0.05  # of the speed at the loss; joints slower than that [rad/s] have no stop time
-FIRST = 1.0  # [s] after the loss in which a brake stops; afterwards it drifts
+STOPPED, STILL = 0.05, 0.02  # of the speed at the loss [-], or [rad/s], below which a joint has stopped
+SLOW = 0.05  # [rad/s]; joints slower than that have no stop time
+FIRST, DRIFT = 1.0, 5.0  # [s] after the loss in which a brake stops, and then in which it drifts
 QUIET = 0.4  # [s] at the end of a rest
+SETTINGS = {"stopped": STOPPED, "still": STILL, "slow": SLOW, "first": FIRST, "drift": DRIFT, "quiet": QUIET}
 POSES, GROWS = 4, 1e-3  # random poses beside home; growth [1/s] that counts
 STOP = ("stop_time", "stop_angle", "peak_torque", "drift")
 TRACK = ("error_mean", "error_std")
@@ -39,10 +41,10 @@ Seen = dict[str, list[float]]
 def stopping(fault: str | None) -> Callable[[Scenario, Recording], Seen]:
     """Measures a stop, per controlled joint.
 
-    ``stop_time`` [s]: from the loss until the link's speed is within 5 % of what it was, and stays; infinite
-    if never, NaN where the joint hardly moved. ``stop_angle`` [rad]: farthest from where it was, within
-    `FIRST`. ``peak_torque`` [-]: of the motor, shorted windings included, over its limit. ``drift`` [rad]:
-    from `FIRST` to the end.
+    ``stop_time`` [s]: from the loss until the link's speed is within 5 % of what it was, or within `STILL`,
+    and stays; infinite if never, NaN where the joint hardly moved. ``stop_angle`` [rad]: farthest from where
+    it was, within `FIRST`. ``peak_torque`` [-]: of the motor, shorted windings included, over its limit.
+    ``drift`` [rad]: how far the link is after `DRIFT` more from where it was after `FIRST`.
     """
 
     def measure(scenario: Scenario, found: Recording) -> Seen:
@@ -56,21 +58,21 @@ def stopping(fault: str | None) -> Callable[[Scenario, Recording], Seen]:
             rotor = found.velocity[after][:, joints]
             b, corner = (np.array([of(drive) for drive in drives]) for of in (short_damping, short_corner))
             torque = b * rotor / (1 + (rotor / corner) ** 2)
-        first = round(FIRST / scenario.trajectory.period)
+        first, last = (round(at / scenario.trajectory.period) for at in (FIRST, FIRST + DRIFT))
         limit = np.array([drive.torque_limit for drive in drives])
         return {
             "stop_time": stop_time(speed, scenario.trajectory.period).tolist(),
             "stop_angle": np.abs(angle[: first + 1] - angle[0]).max(0).tolist(),
             "peak_torque": (np.abs(torque).max(0) / limit).tolist(),
-            "drift": np.abs(angle[-1] - angle[first]).tolist(),
+            "drift": np.abs(angle[last] - angle[first]).tolist(),
         }
 
     return measure
 
 
 def stop_time(speed: Floats, period: float) -> Floats:
-    """Time until each column of speeds (ticks, n) stays within `STOPPED` of its first [s]; see `stopping`."""
-    moving = np.abs(speed) > STOPPED * np.abs(speed[0])
+    """Time until each column of speeds (ticks, n) [rad/s] stays low [s]; see `stopping`."""
+    moving = np.abs(speed) > np.maximum(STOPPED * np.abs(speed[0]), STILL)
     last = len(speed) - np.argmax(moving[::-1], axis=0)  # the tick after the last that moves
     time = np.where(last == len(speed), math.inf, last * period)
     return np.where(np.abs(speed[0]) < SLOW, math.nan, time)

@@ -102,7 +102,9 @@ class PlantLink:
         self.carried = self._rest(at)
         # Always with a script: brakes close through it.
         self._faults = native_faults(faults, self.plant, plant.robot.joints, clock, seed)
-        self._arm = _native.Arm(drives.view(np.uint8), engine("mj_step"), self.plant.timestep, steps, self._faults)
+        self._arm = _native.Arm(
+            drives.view(np.uint8), engine("mj_step"), self.plant.timestep, steps, self._faults
+        )
         self._connect()
         self._spring, self._spring_dof = np.array(drives["spring_qpos"]), self.plant.spring_dof
         self.torque_age, self.encoder_age = self._arm.torque_age, self._arm.encoder_age

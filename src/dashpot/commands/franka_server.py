@@ -59,8 +59,8 @@ def franka_server(options: FrankaServer) -> int:
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: server.stop())
-    hurried = _hurry()  # in lock-step, too: libfranka gives up after a second without a state
-    pace = "in lock-step with its client" if options.lock_step else f"at 1 kHz{hurried}"
+    # In lock-step it answers whatever is asked at once: with priority over its client it would starve it.
+    pace = "in lock-step with its client" if options.lock_step else f"at 1 kHz{_hurry()}"
     host, port = server.address
     load = f"{options.payload:g} kg" if options.payload else "nothing"
     say(f"{arm.robot.name} with {load} on its flange, listening at {host}:{port}, {pace}; Ctrl-C ends")

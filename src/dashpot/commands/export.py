@@ -19,7 +19,6 @@ from dashpot.export.names import c_name
 from dashpot.export.summary import verdict
 from dashpot.output import whole_folder
 from dashpot.robot import Robot
-from dashpot.thresholds import SupervisorSettings
 
 if TYPE_CHECKING:
     from dashpot.cli import Export
@@ -32,7 +31,7 @@ def export(options: Export) -> int:
     check_place(options.out, [robot.file, config.file])
     Controller.from_config(config, robot.drives)  # its complaints before minutes are spent
     certificate = None if options.without_certificate else _certificate(robot, config)
-    settings = SupervisorSettings() if options.supervised else None
+    settings = config.supervisor if options.supervised else None
     made = Exported(name, robot, config, certificate, settings, _ranges(robot, config) if settings else None)
     compiled = None
     with whole_folder(options.out) as folder:

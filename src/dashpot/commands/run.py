@@ -224,7 +224,7 @@ def _prepare(options: Run) -> Job:
         load = Payload(options.payload, offset)  # type: ignore[arg-type]
         plant = build(robot, config.period, [load] if load.mass > 0 else [])
         ranges = encoder_ranges(plant)
-    supervisor = Supervisor(controller, robot.drives, limits=ranges)
+    supervisor = Supervisor(controller, robot.drives, config.supervisor, limits=ranges)
     path = _path(options, robot, config)
     for event in tracking_events(config, 0.0):
         controller.set_mode(event.joint, "bypass")

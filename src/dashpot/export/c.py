@@ -17,7 +17,8 @@ from dashpot.export.summary import lines, plain
 from dashpot.export.tables import UNLIMITED, c_record
 from dashpot.robot import Robot
 from dashpot.sampled import NX
-from dashpot.thresholds import SupervisorSettings, rules_record, watch_records
+from dashpot.supervisorsettings import SupervisorSettings
+from dashpot.thresholds import rules_record, watch_records
 
 GUARDS = f"""#include <float.h>
 #include <stdint.h>

@@ -26,7 +26,7 @@ from dashpot.jointlaw import JointGains
 from dashpot.laws import LAWS
 from dashpot.robot import Robot
 from dashpot.sampled import NX, Floats
-from dashpot.thresholds import SupervisorSettings
+from dashpot.supervisorsettings import SupervisorSettings
 
 NONE, MODE, LOOP, WARM, PRESET, RESET, ISSUE, STOP, SUPERVISOR_RESET = range(9)  # as in export_drive.c
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")

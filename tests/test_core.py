@@ -247,9 +247,9 @@ def test_torque_is_finite_and_within_its_limits_whatever_comes_in(seed, inputs, 
         assert np.isfinite(out[0])
         assert abs(out[0]) <= block["torque_limit"]
         # one rounding of last + rate_limit
-        assert abs(out[0] - last) <= block["rate_limit"] * (1 + 1e-12) + np.spacing(abs(last))
+        assert abs(float(out[0]) - last) <= block["rate_limit"] * (1 + 1e-12) + np.spacing(abs(last))
         assert np.isfinite(c.state("j0")["x"]).all()
-        last = out[0]
+        last = float(out[0])
 
 
 def test_unlimited_torque_that_overflows_while_fading_is_held():

@@ -249,8 +249,9 @@ def test_a_ring_read_while_it_is_written_never_gives_half_a_row():
     cycle, _ = cycle_of(supervisor, ring=ring.memory)
     writer = threading.Thread(target=cycle.step_many, args=(300_000,))
     writer.start()
-    seen, last = 0, -1
-    while writer.is_alive() or len(ring.drain()):
+    seen, last, writing, rows = 0, -1, True, ()
+    while writing or len(rows):
+        writing = writer.is_alive()
         rows = ring.drain()
         if len(rows):
             ticks = rows["tick"]

@@ -15,13 +15,15 @@ from dashpot.certify.certificate import certify_arm
 from dashpot.certify.digest import JUDGED, digest
 from dashpot.controller import Controller, load_controller
 from dashpot.errors import InputError
-from dashpot.hardware.checks import Heard, Verdicts, at_rest, before_link
+from dashpot.hardware.checks import Heard, Verdicts, at_rest, before_link, listen
 from dashpot.hardware.interface import Hardware, Sample
 from dashpot.hardware.realtime import undisturbed
 from dashpot.hardware.runtime import LoopSettings, control, joint_order
+from dashpot.hardware.sim import LinkSettings, SimHardware
 from dashpot.loop import encoder_ranges
 from dashpot.plant import build
 from dashpot.robot import Robot
+from dashpot.simulate import Scenario
 from dashpot.supervisor import Supervisor, SupervisorSettings
 from dashpot.trajectory import hold, multisine
 
@@ -259,6 +261,24 @@ def test_what_the_sensors_say_at_rest(change, name, joint):
     assert name in failing(checks) or (name is None and not failing(checks))
     if name:
         assert next(check for check in checks if check.name == name).joint == joint
+
+
+@pytest.mark.parametrize("name", ["fr3", "iiwa14"])
+def test_a_simulated_arm_on_its_brakes_shows_the_noise_of_its_sensors_alone(name):
+    """Its links have stopped ringing before anybody listens."""
+    robot, config = Robot.load(name), load_controller(name)
+    controller = Controller.from_config(config, robot.drives)
+    plant = build(robot, config.period)
+    scenario = Scenario(plant, controller, hold(robot.home, 1.0, config.period), seed=1)
+    arm = SimHardware(scenario, LinkSettings(realtime=False))
+    try:
+        heard_ = listen(arm, controller, 500)
+    finally:
+        arm.stop()
+    checks = at_rest(heard_, robot.drives, controller, SupervisorSettings(), realtime=False)
+    assert not failing(checks), checks
+    stated = np.array([drive.torque_noise for drive in robot.drives])
+    assert (np.abs(heard_.torque.std(0) / stated - 1) < 0.3).all()
 
 
 def test_a_sensor_that_repeats_itself_and_a_clock_that_stands_fail():

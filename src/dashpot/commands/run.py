@@ -46,7 +46,6 @@ SIMULATED = 10.0  # [s] that a simulated arm is held where nobody says
 LONGEST = 600.0  # [s] of a simulated run: its whole motion is in memory
 LEAD_IN = 1.0  # [s] at rest before a motion
 SPARE = 1.0  # [s] that a simulated arm can go on for, besides a stop
-SETTLE = 2.0  # [s] until a simulated arm, which begins on its brakes, has stopped ringing
 
 
 @dataclass(frozen=True)
@@ -113,9 +112,7 @@ def run(options: Run) -> int:
         # Without a clock a sample more is another run: what the sensors say is looked at with --check only.
         if options.check or not options.lock_step:
             with undisturbed(0 if options.lock_step else options.priority, options.cpu):
-                heard = listen(
-                    hardware, job.controller, options.samples, SETTLE if options.via == "sim" else 0.0
-                )
+                heard = listen(hardware, job.controller, options.samples)
             load = None
             if job.plant is not None:
                 where = np.array(job.robot.home)

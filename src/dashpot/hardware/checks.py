@@ -215,8 +215,8 @@ class Heard:
     age: int
 
 
-def listen(hardware: Hardware, controller: Controller, samples: int, settle: float = 0.0) -> Heard:
-    """Reads samples without taking the robot over, after ``settle`` [s] of samples that are not looked at.
+def listen(hardware: Hardware, controller: Controller, samples: int) -> Heard:
+    """Reads samples without taking the robot over.
 
     Raises:
         DashpotError: The robot ends it.
@@ -226,10 +226,10 @@ def listen(hardware: Hardware, controller: Controller, samples: int, settle: flo
     time_, arrival = np.zeros(samples), np.zeros(samples)
     signals = np.zeros((3, samples, n))
     age = 0
-    begun, first = time.monotonic_ns(), FIRST + round(settle / hardware.period)
-    for i in range(-first, samples):
+    begun = time.monotonic_ns()
+    for i in range(-FIRST, samples):
         if not hardware.paced:
-            _native.sleep_until(begun + round((i + first) * hardware.period * 1e9))
+            _native.sleep_until(begun + round((i + FIRST) * hardware.period * 1e9))
         if not hardware.read(sample):
             raise DashpotError(f"the robot gives no samples: {hardware.reason or 'no reason given'}")
         if i < 0:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from dashpot.commands import quiet_engine
 from dashpot.commands.excite_view import draw, show
+from dashpot.commands.shared import payload_offset
 from dashpot.controller import load_controller
 from dashpot.errors import InputError
 from dashpot.excite import Limits
@@ -30,7 +31,7 @@ def excite(options: Excite) -> int:
     if options.seed < 0:
         raise InputError("must not be negative", quantity="--seed", value=options.seed)
     period = PERIOD if options.controller is None else load_controller(options.controller).period
-    payloads = [Payload(mass, _offset(options.offset)) for mass in options.payload]
+    payloads = [Payload(mass, payload_offset(options.offset)) for mass in options.payload]
     quiet_engine()
     found = search(
         robot,

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from dashpot.commands import quiet_engine
-from dashpot.commands.shared import bare_table
+from dashpot.commands.shared import bare_table, payload_offset
 from dashpot.commands.simulate_faults import read_changes, read_faults
 from dashpot.errors import InputError
 from dashpot.hardware.franka_server.arm import Arm
@@ -38,7 +38,7 @@ def franka_server(options: FrankaServer) -> int:
     if options.log is not None and options.log.suffix != ".npz":
         raise InputError("must end in .npz", quantity="--log", value=str(options.log))
     quiet_engine()
-    payload = Payload(options.payload, _offset(options))
+    payload = Payload(options.payload, payload_offset(options.offset))
     console = Console(highlight=False, soft_wrap=True)
     arm = Arm(
         Robot.load(options.robot),
@@ -85,15 +85,6 @@ def _hurry() -> str:
     except (AttributeError, OSError):
         return " without real-time priority, which this user may not have"
     return ""
-
-
-def _offset(options: FrankaServer) -> float | tuple[float, float, float]:
-    match options.offset:
-        case (x,):
-            return x
-        case (x, y, z):
-            return x, y, z
-    raise InputError("must be one number or three", quantity="--offset [m]", value=options.offset)
 
 
 def _show(console: Console, server: Server) -> None:

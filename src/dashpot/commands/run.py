@@ -17,7 +17,7 @@ import numpy as np
 from dashpot.certify.certificate import Certificate, certify_joint, paired
 from dashpot.commands import quiet_engine
 from dashpot.commands.run_view import show_checks, show_measures, show_outcome
-from dashpot.commands.shared import progress
+from dashpot.commands.shared import payload_offset, progress
 from dashpot.controller import Controller, ControllerConfig, load_controller
 from dashpot.drive import Drive
 from dashpot.errors import DashpotError, InputError
@@ -220,8 +220,7 @@ def _prepare(options: Run) -> Job:
         from dashpot.loop import encoder_ranges
         from dashpot.plant import build
 
-        offset = options.offset if len(options.offset) > 1 else options.offset[0]
-        load = Payload(options.payload, offset)  # type: ignore[arg-type]
+        load = Payload(options.payload, payload_offset(options.offset))
         plant = build(robot, config.period, [load] if load.mass > 0 else [])
         ranges = encoder_ranges(plant)
     supervisor = Supervisor(controller, robot.drives, config.supervisor, limits=ranges)
@@ -294,7 +293,6 @@ def _simulated(options: Run, job: Job) -> tuple[Hardware, Start | None]:
     stop = job.supervisor.settings
     after = stop.stop_time + stop.release_time + SPARE
     link = LinkSettings(realtime=not options.lock_step, record=options.record)
-    offset = options.offset if len(options.offset) > 1 else options.offset[0]
     scenario = Scenario(
         plant,
         Controller.from_config(job.config, job.robot.drives),
@@ -302,7 +300,9 @@ def _simulated(options: Run, job: Job) -> tuple[Hardware, Start | None]:
         tracking_events(job.config, path.start),
         seed=options.seed,
         faults=read_faults(options.fault),
-        payload_changes=read_changes(options.payload_at, Payload(options.payload, offset)),  # type: ignore[arg-type]
+        payload_changes=read_changes(
+            options.payload_at, Payload(options.payload, payload_offset(options.offset))
+        ),
     )
     from dashpot.loop import check
 

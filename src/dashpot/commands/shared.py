@@ -28,6 +28,20 @@ def file_names(joints: Sequence[str]) -> dict[str, str]:
     return names
 
 
+def payload_offset(values: tuple[float, ...]) -> float | tuple[float, float, float]:
+    """What follows ``--offset``, as `Payload` takes it [m].
+
+    Raises:
+        InputError: Neither one number nor three.
+    """
+    match values:
+        case (x,):
+            return x
+        case (x, y, z):
+            return x, y, z
+    raise InputError("must be one number or three", quantity="--offset [m]", value=values)
+
+
 @contextmanager
 def progress(label: str, steps: int) -> Iterator[Callable[[], None]]:
     """A bar on standard error where that is a terminal; calling what it gives advances it by one step."""

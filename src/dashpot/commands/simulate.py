@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 from dashpot.commands import quiet_engine
 from dashpot.commands.aside import run_aside
+from dashpot.commands.shared import payload_offset
 from dashpot.commands.simulate_faults import marks, read_changes, read_faults
 from dashpot.commands.simulate_view import draw, show
 
@@ -55,7 +56,7 @@ def simulate(options: Simulate) -> int:
             quantity="--gravity-compensation",
         )
     controller = Controller.from_config(config, robot.drives)
-    payload = Payload(options.payload, _offset(options))
+    payload = Payload(options.payload, payload_offset(options.offset))
     # A log stands for the real thing, whose friction and damping do not depend on a time step.
     step = config.period if options.log is None else config.period / math.ceil(config.period / LOGGED)
     plant = build(robot, step, [payload] if payload.mass > 0 else [])
@@ -124,7 +125,7 @@ def simulate(options: Simulate) -> int:
 
 
 def _check(options: Simulate) -> None:
-    offset = _offset(options)
+    offset = payload_offset(options.offset)
     if not np.isfinite(offset).all():
         raise InputError("must be finite", quantity="--offset [m]", value=offset)
     if not math.isfinite(options.tap):
@@ -147,16 +148,6 @@ def _check(options: Simulate) -> None:
             rule = f"must be at most {high:.4g} {unit}; check the unit"
         if rule:
             raise InputError(rule, quantity=f"--{key} [{unit}]", value=value)
-
-
-def _offset(options: Simulate) -> float | tuple[float, float, float]:
-    """As `Payload` takes it."""
-    match options.offset:
-        case (x,):
-            return x
-        case (x, y, z):
-            return x, y, z
-    raise InputError("must be one number or three", quantity="--offset [m]", value=options.offset)
 
 
 def _path(options: Simulate, robot: Robot, period: float) -> Trajectory:

@@ -12,8 +12,8 @@ from test_plant import drive_with, one_joint, torque_source, vpc
 from dashpot import _native
 from dashpot import plant as plant_module
 from dashpot.controller import Controller, ControllerConfig, JointGains
+from dashpot.engine import engine
 from dashpot.linear import closed_loop, linearise, modes, spectral_radius
-from dashpot.loop import engine
 from dashpot.payload import Payload
 from dashpot.plant import build
 from dashpot.recording import CHANNELS

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import copy
-import ctypes
 from collections.abc import Sequence
 from dataclasses import asdict
-from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -16,8 +13,9 @@ from numpy.typing import NDArray
 
 import dashpot._native as _native
 from dashpot.controller import MODES
+from dashpot.engine import engine
 from dashpot.equilibrium import Equilibrium, settle
-from dashpot.errors import DashpotError, InputError
+from dashpot.errors import InputError
 from dashpot.plant import Plant, with_payload, with_timestep
 from dashpot.recording import CHANNELS, Recording
 from dashpot.sampled import BLOCK_DTYPE, Floats, empty_block
@@ -31,17 +29,6 @@ if TYPE_CHECKING:
 EVENT_DTYPE = np.dtype([("tick", "i4"), ("joint", "i4"), ("kind", "i4"), ("value", "i4")])
 BEYOND = 0.1  # [rad] past the stops, which yield
 _KINDS = {"mode": 0, "position_loop": 1, "warm_start": 2}
-
-
-@cache
-def engine(function: str) -> int:
-    """Address of a function in the library the mujoco package loaded."""
-    folder = Path(mujoco.__file__).parent
-    for path in sorted([*folder.glob("libmujoco*"), *folder.glob("mujoco.dll")]):
-        address = ctypes.cast(getattr(ctypes.CDLL(str(path)), function), ctypes.c_void_p).value
-        if address:
-            return address
-    raise DashpotError(f"{folder}: no MuJoCo library with {function}; reinstall mujoco")
 
 
 class _Gravity:

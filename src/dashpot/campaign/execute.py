@@ -69,7 +69,7 @@ def chunk_of(campaign: Campaign, chunk: int) -> Block:
 def _prepare() -> None:
     from threadpoolctl import threadpool_limits
 
-    from dashpot.commands import quiet_engine
+    from dashpot.engine import quiet_engine
 
     threadpool_limits(1, user_api="blas")  # every core has a scenario of its own
     quiet_engine()

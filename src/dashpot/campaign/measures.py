@@ -28,7 +28,7 @@ AT_REST = math.radians(0.5)  # [rad/s] slower than this is at rest in any case
 STAYS = 0.05  # [s] for which a stopped joint must stay slow
 RESTS = 0.002  # [rad] by which a rotor at rest may swing: a brake is as soft as that at the torque it holds
 RESTS_FOR = 0.1  # [s]; with the above 0.02 rad/s, the supervisor's still_speed
-SLIPS = 0.1  # [s] that an arm may slip in a brake that has just closed
+SLIPS = 0.3  # [s] that an arm may swing and slip in a brake that has just closed
 LAST = 1.0  # [s] at the end over which drift is taken
 
 

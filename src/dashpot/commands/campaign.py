@@ -16,11 +16,11 @@ from dashpot.campaign.measures import MEASURES
 from dashpot.campaign.scenario import OK, Campaign
 from dashpot.campaign.spec import PRESETS, Spec
 from dashpot.campaign.store import Block, Store, attributes, campaign_of, check_same, create, open_dataset
-from dashpot.commands import quiet_engine
 from dashpot.commands.aside import run_aside
-from dashpot.commands.campaign_view import progress_bar, show_plan, show_replay, show_results
+from dashpot.commands.campaign_view import progress_bar, show_plan, show_replay, show_results, show_supervisor
 from dashpot.commands.shared import check_place
 from dashpot.commands.simulate_view import draw, show
+from dashpot.engine import quiet_engine
 from dashpot.errors import DashpotError, InputError
 from dashpot.output import whole_folder
 from dashpot.plots import save
@@ -94,6 +94,7 @@ def campaign(options: Options) -> int:
     with open_dataset(out) as dataset:
         verdicts = judge(spec, dataset)
         show_results(spec, dataset, verdicts, out)
+        show_supervisor(plan)
         failed = bool((dataset["status"].values != OK).any())
     return 1 if failed or not all(verdict.holds for verdict in verdicts) else 0
 

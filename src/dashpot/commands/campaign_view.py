@@ -153,6 +153,26 @@ def show_results(spec: Spec, dataset: Any, verdicts: Sequence[Verdict], out: Pat
     screen.print(f"      dashpot replay {place} {first}", highlight=False, soft_wrap=True)
 
 
+def show_supervisor(campaign: Campaign) -> None:
+    """Prints which settings of the supervisor were tried, where the controller's file says others."""
+    tried = campaign.spec.supervisor or {}
+    for name, config in campaign.configs.items():
+        if any(getattr(config.supervisor, key) != value for key, value in tried.items()):
+            words = ", ".join(f"{key} = {_setting(value)}" for key, value in tried.items())
+            file = escape(str(name))
+            console().print(
+                f"Tried with supervisor = {{ {words} }}; it holds for {file} with the same under "
+                "\\[supervisor].",
+                style="dim",
+                highlight=False,
+                soft_wrap=True,
+            )
+
+
+def _setting(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else f"{value:g}"
+
+
 def show_replay(values: Mapping[str, Any], done: bool, differ: Sequence[str]) -> None:
     """Prints what a scenario was about, and whether the dataset holds the same bits."""
     screen = console()

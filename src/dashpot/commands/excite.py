@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from dashpot.commands import quiet_engine
 from dashpot.commands.excite_view import draw, show
 from dashpot.commands.shared import payload_offset
 from dashpot.controller import load_controller
+from dashpot.engine import quiet_engine
 from dashpot.errors import InputError
 from dashpot.excite import Limits
 from dashpot.excite import excite as search

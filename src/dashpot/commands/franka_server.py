@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.markup import escape
 
-from dashpot.commands import quiet_engine
 from dashpot.commands.shared import bare_table, payload_offset
 from dashpot.commands.simulate_faults import read_changes, read_faults
+from dashpot.engine import quiet_engine
 from dashpot.errors import InputError
 from dashpot.hardware.franka_server.arm import Arm
 from dashpot.hardware.franka_server.limits import FR3

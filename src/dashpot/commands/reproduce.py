@@ -15,7 +15,7 @@ from dashpot.errors import InputError
 if TYPE_CHECKING:
     from dashpot.studies.relations import Relation
 
-from dashpot.commands import quiet_engine
+from dashpot.engine import quiet_engine
 
 FIGURES = {
     "fig4": "Fig. 4: tracking",

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dashpot.certify.certificate import Certificate, certify_joint, paired
-from dashpot.commands import quiet_engine
 from dashpot.commands.run_view import show_checks, show_measures, show_outcome
 from dashpot.commands.shared import payload_offset, progress
 from dashpot.controller import Controller, ControllerConfig, load_controller
 from dashpot.drive import Drive
+from dashpot.engine import quiet_engine
 from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.checks import Verdicts, at_rest, before_link, listen
 from dashpot.hardware.interface import Hardware, carries_weight

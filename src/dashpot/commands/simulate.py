@@ -30,11 +30,11 @@ from dashpot.trajectory import Trajectory, hold, multisine
 if TYPE_CHECKING:
     from dashpot.cli import Simulate
 
-from dashpot.commands import quiet_engine
 from dashpot.commands.aside import run_aside
 from dashpot.commands.shared import payload_offset
 from dashpot.commands.simulate_faults import marks, read_changes, read_faults
 from dashpot.commands.simulate_view import draw, show
+from dashpot.engine import quiet_engine
 
 LOGGED = 1e-4  # [s], longest step of the engine for a log
 LEAD_IN = 1.0  # [s] at rest before a motion

@@ -14,9 +14,10 @@ import mujoco
 import numpy as np
 
 import dashpot._native as _native
+from dashpot.engine import engine
 from dashpot.errors import InputError
 from dashpot.faults import Fault
-from dashpot.loop import carry, engine, loads
+from dashpot.loop import carry, loads
 from dashpot.plant import Plant
 from dashpot.recording import CHANNELS, Recording
 from dashpot.sampled import Floats

@@ -23,8 +23,8 @@ from dashpot.campaign.judge import judge, passed
 from dashpot.campaign.scenario import OK, Campaign
 from dashpot.campaign.spec import Spec
 from dashpot.campaign.store import Store, attributes, check_same, create, open_dataset
-from dashpot.commands import quiet_engine
 from dashpot.commands.campaign_view import progress_bar
+from dashpot.engine import quiet_engine
 from dashpot.supervisor import STATES
 
 SEED = 1  # of the chunks that are drawn

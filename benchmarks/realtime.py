@@ -116,6 +116,7 @@ def franka(rows: Rows) -> None:
     rows.add("franka_ours", "ours", 1e6 * found["ours"], "us")
     added = (found["ours"] - found["bare"]) / 1e-3
     rows.add("franka_added", "added, of the cycle", added, "x", most=0.1)
-    rows.add("franka_lost_bare", "packets lost, bare", found["lost_bare"])
-    lost = found["lost_ours"] - found["lost_bare"]
+    share = {who: found[f"lost_{who}"] / found[f"ticks_{who}"] for who in ("bare", "ours")}
+    rows.add("franka_lost_bare", "packets lost, bare", share["bare"])
+    lost = share["ours"] - share["bare"]
     rows.add("franka_lost_more", "ours less bare", lost, "x", most=0.0, note="the machine's load")

@@ -108,7 +108,7 @@ def run(options: Run) -> int:
         return 1
     with _connected(options, job) as (hardware, start):
         joint_order(hardware, job.controller)
-        _refuse_gravity_twice(hardware, job.config)
+        _refuse_gravity_twice(hardware, job)
         # Without a clock a sample more is another run: what the sensors say is looked at with --check only.
         if options.check or not options.lock_step:
             with undisturbed(0 if options.lock_step else options.priority, options.cpu):
@@ -144,12 +144,18 @@ def _load(job: Job, plant: Plant, hardware: Hardware, where: Floats) -> Floats:
     return np.asarray(load[job.columns])
 
 
-def _refuse_gravity_twice(hardware: Hardware, config: ControllerConfig) -> None:
-    """Checks that the controller does not add the weight of an arm that carries it itself."""
-    for law in config.joints:
-        if carries_weight(hardware) and isinstance(law, PDGravity):
+def _refuse_gravity_twice(hardware: Hardware, job: Job) -> None:
+    """Checks that no law adds the weight of an arm that carries it itself."""
+    if not carries_weight(hardware) or job.robot.gravity_compensation:  # known: the law leaves it out
+        return
+    for law in job.config.joints:
+        if isinstance(law, PDGravity):
             raise InputError(
-                "adds gravity, which this robot does itself", file=config.file, joint=law.name, quantity="law"
+                f"adds gravity, which this robot does itself; say gravity_compensation = true in "
+                f"{job.robot.file}",
+                file=job.config.file,
+                joint=law.name,
+                quantity="law",
             )
 
 
@@ -255,7 +261,7 @@ def _path(options: Run, robot: Robot, config: ControllerConfig) -> Trajectory | 
         path = read_motion(
             Path(options.motion), robot, config.period, lead_in=LEAD_IN, duration=duration, most=most
         )
-    return with_feedforward(robot, config, path)
+    return with_feedforward(robot, config, path, carried=robot.gravity_compensation)
 
 
 def _verdicts(options: Run, job: Job) -> Verdicts:
@@ -303,6 +309,7 @@ def _simulated(options: Run, job: Job) -> tuple[Hardware, Start | None]:
         payload_changes=read_changes(
             options.payload_at, Payload(options.payload, payload_offset(options.offset))
         ),
+        gravity_compensation=True,
     )
     from dashpot.loop import check
 

@@ -80,6 +80,7 @@ class SimHardware:
         scenario: What is simulated; its supervisor is not used, and of its controller only how the arm
             starts.
         process: Of the arm. It outlives this one: killed, its watchdog stops the arm.
+        carries_weight: Whether the arm's own gravity compensation is on, as the scenario says.
     """
 
     def __init__(
@@ -106,7 +107,7 @@ class SimHardware:
         self.scenario, self.settings = scenario, settings or LinkSettings()
         self.joints = scenario.controller.joints
         self.period, self.reason = scenario.controller.period, ""
-        self.paced = paced
+        self.paced, self.carries_weight = paced, scenario.carried
         self._guard = None if supervisor is None else supervisor.guard
         n = len(self.joints)
         self._in, self._out = np.zeros(1, SAMPLE_DTYPE), np.zeros(1, COMMAND_DTYPE)

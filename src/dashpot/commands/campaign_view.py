@@ -91,9 +91,8 @@ def show_plan(campaign: Campaign, out: Path, done: int) -> None:
         kind = "Sobol" if spec.sample == "sobol" else "Latin hypercube"
         grid = math.prod(len(axis.values) for axis in spec.grid)
         with_grid = f" for each of {grid} grid points" if grid > 1 else ""
-        screen.print(
-            f"{kind} of {spec.count} points, seed {spec.seed}{with_grid}", style="dim", highlight=False
-        )
+        points = "1 point" if spec.count == 1 else f"{spec.count} points"
+        screen.print(f"{kind} of {points}, seed {spec.seed}{with_grid}", style="dim", highlight=False)
     if done:
         screen.print(f"{done} are done already in {escape(str(out))}", highlight=False)
     screen.print()

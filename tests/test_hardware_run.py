@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import select
+import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -411,3 +415,23 @@ def test_lock_step_ends_where_it_should_and_logs_every_tick(dashpot, tmp_path): 
 def test_a_sample_starts_empty():
     sample = Sample.of(("a",))
     assert np.isnan([sample.time, *sample.torque, *sample.in_effect]).all()
+
+
+def test_on_a_terminal_it_keeps_a_line_that_is_gone_at_the_end():
+    """A real terminal: what draws on it must not swallow what the processes say to each other."""
+    pty = pytest.importorskip("pty")
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "dashpot.cli", "run", "k807", "k807-wrist", "--uncertified"]
+    lenient = ("--samples", "50", "--duration", "1")
+    process = subprocess.Popen([*command, *lenient], stdin=theirs, stdout=subprocess.PIPE, stderr=theirs)
+    os.close(theirs)
+    seen = b""
+    with suppress(OSError):  # the terminal's other end is closed: the process is gone
+        while select.select([ours], [], [], 120)[0]:
+            seen += os.read(ours, 4096)
+    os.close(ours)
+    out, _ = process.communicate(timeout=60)
+    assert b"track" in seen, out.decode()
+    assert b" of " in seen
+    assert seen.rstrip().endswith(b"\x1b[2K")  # the line is taken back
+    assert b"cycles of 5 ms" in out

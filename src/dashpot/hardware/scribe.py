@@ -129,7 +129,14 @@ class StatusLine:
         from rich.live import Live
 
         self.notes, self._shown = notes, 0.0
-        self.live = Live(console=Console(stderr=True), auto_refresh=False, transient=True)
+        # Standard output is where the loop is told that this process is ready, not a terminal's.
+        self.live = Live(
+            console=Console(stderr=True),
+            auto_refresh=False,
+            transient=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        )
         self.live.start()
 
     def show(self, rows: NDArray[np.void], statistics: dict[str, Any]) -> None:

@@ -25,6 +25,7 @@ from dashpot.hardware.realtime import undisturbed
 from dashpot.hardware.runtime import LoopSettings, control, joint_order
 from dashpot.hardware.sim import LinkSettings, SimHardware
 from dashpot.loop import encoder_ranges
+from dashpot.payload import Payload
 from dashpot.plant import build
 from dashpot.robot import Robot
 from dashpot.simulate import Scenario
@@ -267,13 +268,14 @@ def test_what_the_sensors_say_at_rest(change, name, joint):
         assert next(check for check in checks if check.name == name).joint == joint
 
 
-@pytest.mark.parametrize("name", ["fr3", "iiwa14"])
-def test_a_simulated_arm_on_its_brakes_shows_the_noise_of_its_sensors_alone(name):
+@pytest.mark.parametrize(("name", "mass"), [("fr3", 0.0), ("fr3", 3.0), ("iiwa14", 0.0)])
+def test_a_simulated_arm_on_its_brakes_shows_the_noise_of_its_sensors_alone(name, mass):
     """Its links have stopped ringing before anybody listens."""
     robot, config = Robot.load(name), load_controller(name)
     controller = Controller.from_config(config, robot.drives)
-    plant = build(robot, config.period)
-    scenario = Scenario(plant, controller, hold(robot.home, 1.0, config.period), seed=1)
+    plant = build(robot, config.period, [Payload(mass)] if mass else [])
+    still = hold(robot.home, 1.0, config.period)
+    scenario = Scenario(plant, controller, still, seed=1, gravity_compensation=True)
     arm = SimHardware(scenario, LinkSettings(realtime=False))
     try:
         heard_ = listen(arm, controller, 500)

@@ -20,7 +20,7 @@ from dashpot.simulate import Scenario
 from dashpot.trajectory import hold
 
 LISTEN = 10.0  # [s] at rest that are simulated at a time until somebody takes the arm over
-CALM = 3.5  # [s] for the brakes to close and the links to stop ringing, before anybody listens
+CALM = 7.0  # [s] for the brakes to close and the links to stop ringing, before anybody listens
 
 
 def _link(file: int, settings: LinkSettings, period: float, listening: bool) -> _native.Link:

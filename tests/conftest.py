@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 import scipy.linalg  # noqa: F401 - loads the library whose threads are limited
 from threadpoolctl import threadpool_limits
@@ -16,6 +17,9 @@ from threadpoolctl import threadpool_limits
 from dashpot.errors import InputError
 
 threadpool_limits(1, user_api="blas")  # the tests run in parallel; threads of small matrices only wait
+
+hypothesis.settings.register_profile("shared", deadline=None)  # the machine has other things to do as well
+hypothesis.settings.load_profile("shared")
 
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's background jobs, and what they start

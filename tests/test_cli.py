@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import subprocess
@@ -307,12 +308,13 @@ def test_no_help_without_a_command(dashpot):
 
 def test_help_is_fast():
     took = [9.9]
-    while min(took) >= 0.5 and len(took) < 8:  # other tests run beside it
-        start = time.perf_counter()
+    while min(took) >= 0.5 and len(took) < 8:  # processor time: other tests run beside it
+        start = os.times()
         done = subprocess.run(
             [sys.executable, "-m", "dashpot.cli", "--help"], capture_output=True, check=True
         )
-        took.append(time.perf_counter() - start)
+        end = os.times()
+        took.append(end.children_user - start.children_user + end.children_system - start.children_system)
     assert b"simulate" in done.stdout
     assert min(took) < 0.5
 

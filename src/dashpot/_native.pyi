@@ -32,10 +32,12 @@ class Core:
 
 class Faults:
     apply_brake: bool
+    stopped_at: int
     ages: list[tuple[int, int]]
     def __init__(
         self, script: NDArray[np.uint8], drives: NDArray[np.float64], brake_delay: float
     ) -> None: ...
+    def put(self, place: int, fault: NDArray[np.uint8]) -> None: ...
 
 WATCH_SIZE: int
 RULES_SIZE: int
@@ -82,6 +84,7 @@ def run(
     first: int = 0,
     last: int = -1,
     guard: Guard | None = None,
+    origin: int = 0,
 ) -> tuple[int, int]: ...
 def stops(
     blocks: NDArray[np.uint8],

@@ -1,7 +1,7 @@
 """Where the energy is: in the arm, in the virtual masses, and how much has been taken out.
 
-The balance is exact but for the engine's step: what the arm's energy has lost, and what was put in by hand, has been
-taken out by friction and by the motors, less what the virtual masses and springs still hold.
+The balance is exact but for the engine's step: what the arm's energy has lost, and what was put in by hand,
+has been taken out by friction and by the motors, less what the virtual masses and springs still hold.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ class Energy:
         kinetic: Of links and rotors.
         potential: Of gravity and springs, from where the account began.
         virtual: Stored by the virtual rotors and springs of Eqs. (20)-(21).
-        taken: Taken out since the account began by friction and by the motors, less what `virtual` has gained.
+        taken: Taken out since the account began by friction and by the motors, less what `virtual` has
+            gained.
     """
 
     kinetic: float
@@ -46,7 +47,7 @@ class Account:
         self._virtual = stored(arm)
 
     def restate(self, before: tuple[float, float], after: tuple[float, float]) -> None:
-        """Another load was hung on: kinetic and potential energy jumped, and nothing was taken out by that."""
+        """Another load was hung on: energies jumped, and nothing was taken out by that."""
         self._zero += after[1] - before[1]
         self._start += sum(after) - sum(before)
 
@@ -72,7 +73,9 @@ def stored(arm: LiveArm) -> float:
         model = VirtualPassive(law.R, law.D, law.K, *law.model(arm.robot.drives[j]))
         offset = law.kp * error[j] - law.kd * speed[j] if arm.mode(law.name)[1] else 0.0
         state = arm.law_state(i)
-        xc, rate = virtual_state(model, arm.config.form, arm.config.period, state, sample[j] + offset, torque[j])
+        xc, rate = virtual_state(
+            model, arm.config.form, arm.config.period, state, sample[j] + offset, torque[j]
+        )
         value = 0.5 * model.R * model.m * (speed[j] + rate) ** 2 + 0.5 * model.K * xc**2
         total += float(np.nan_to_num(value))
     return total

@@ -1,7 +1,7 @@
 """A simulated arm that runs on for as long as somebody watches, and is changed while it runs.
 
-It is the loop of `dashpot.simulate` with its tables cut into windows of some ticks: where nothing is changed the bits
-are the same.
+It is the loop of `dashpot.simulate` with its tables cut into windows of some ticks: where nothing is changed
+the bits are the same.
 """
 
 from __future__ import annotations
@@ -118,8 +118,8 @@ class LiveArm(Loop):
         self.payloads = tuple(payloads)
         self.controller = Controller.from_config(config, robot.drives)
         self._feedforward = Feedforward(robot, config)
-        self._since, self.push = 0, None
-        self.push: Push | None
+        self._since = 0
+        self.push: Push | None = None
         self._taps: list[tuple[int, int, int, float]] = []
         self._ended: dict[int, bool] = {}  # place in the script -> whether it may be used again
         self._streams = self._said = 0
@@ -127,17 +127,22 @@ class LiveArm(Loop):
         first = self._rows(np.zeros(1, np.int64))
         start = Trajectory(config.period, first[0], first[1], first[2], torque=first[3])
         events = tracking_events(config, 0.0)
-        super().__init__(
-            Scenario(plant, self.controller, start, events, seed=seed, supervisor=supervisor)
-        )
+        super().__init__(Scenario(plant, self.controller, start, events, seed=seed, supervisor=supervisor))
         if self.faults is None:
             self.faults = native_faults((), plant, self.controller.joints, start, seed)
         self._supervisor = supervisor
-        self._modes: dict[str, tuple[Mode, bool]] = {joint: ("active", True) for joint in self.controller.joints}
+        self._modes: dict[str, tuple[Mode, bool]] = {
+            joint: ("active", True) for joint in self.controller.joints
+        }
         for event in events:
             self._modes[event.joint] = ("bypass", True)
         self.window = Window(
-            0, np.zeros((len(CHANNELS), 1, len(robot.drives))), first[0], 0 * first[0], np.zeros(1, np.int32), 0.0
+            0,
+            np.zeros((len(CHANNELS), 1, len(robot.drives))),
+            first[0],
+            0 * first[0],
+            np.zeros(1, np.int32),
+            0.0,
         )
         if like is not None:
             self._move_like(like)
@@ -190,16 +195,18 @@ class LiveArm(Loop):
         log = decisions(self._guard, self.controller.joints, self.config.period)
         fresh = self._guard.decisions - self._said
         self._said = self._guard.decisions
-        return [replace(d, time=d.time + self._guarded_from) for d in log[len(log) - fresh :]] if fresh else []
+        return (
+            [replace(d, time=d.time + self._guarded_from) for d in log[len(log) - fresh :]] if fresh else []
+        )
 
     def reference_now(self) -> Floats:
         """Position, velocity and acceleration reference of the coming tick, (3, n)."""
         return np.asarray(self._rows(np.array([self.tick]))[:3, 0])
 
-    def law_state(self, i: int) -> tuple[float, ...]:
+    def law_state(self, i: int) -> Floats:
         """State of the i-th controlled joint's block."""
         assert self._core is not None
-        return self._core.joint_state(i)[5]
+        return np.array(self._core.joint_state(i)[5])
 
     # What is done to it.
 
@@ -237,9 +244,12 @@ class LiveArm(Loop):
         A law whose numbers change begins in the equilibrium of its present inputs.
 
         Raises:
-            InputError: Another period or other joints (they need a new arm), or the supervisor has stopped it.
+            InputError: Another period or other joints (they need a new arm), or the supervisor has stopped
+                it.
         """
-        if config.period != self.config.period or [j.name for j in config.joints] != list(self.controller.joints):
+        if config.period != self.config.period or [j.name for j in config.joints] != list(
+            self.controller.joints
+        ):
             raise InputError("another period or other joints need a new arm", quantity="controller")
         controller = Controller.from_config(config, self.robot.drives)
         self._refuse_if_stopped()
@@ -258,7 +268,13 @@ class LiveArm(Loop):
             if not loop:
                 w[POSITION:] = 0.0
             state = equilibrium_state(controller.blocks[i], w) if changed else np.array(x)
-            new.preset(i, state, min(max(command, -controller.blocks[i]["torque_limit"]), controller.blocks[i]["torque_limit"]))
+            new.preset(
+                i,
+                state,
+                min(
+                    max(command, -controller.blocks[i]["torque_limit"]), controller.blocks[i]["torque_limit"]
+                ),
+            )
         self.config, self.controller, self._core = config, controller, new
         self.scenario = replace(self.scenario, controller=controller)
         self._feedforward = Feedforward(self.robot, config)
@@ -267,7 +283,8 @@ class LiveArm(Loop):
 
     def supervise(self, settings: SupervisorSettings | None) -> None:
         """Puts a fresh supervisor in charge, or none; modes and position loops are as they were set."""
-        assert self._core is not None and self.faults is not None
+        assert self._core is not None
+        assert self.faults is not None
         stopped = self.state != TRACK
         self._supervisor, self._guard = settings, None
         self.faults.apply_brake = False
@@ -333,11 +350,15 @@ class LiveArm(Loop):
         assert self.faults is not None
         now = replace(fault, start=0.0, end=float("inf"))
         rows = fault_rows(now, self.plant, self.controller.joints, self.scenario.trajectory)
-        rows = [(kind, drive, self.tick, last, value, damping) for kind, drive, _, last, value, damping in rows]
+        rows = [
+            (kind, drive, self.tick, last, value, damping) for kind, drive, _, last, value, damping in rows
+        ]
         free = [place for place, ended in self._ended.items() if ended]
         places = [*free, *range(len(self._ended), _native.MAX_FAULTS)][: len(rows)]
         if len(places) < len(rows):
-            raise InputError(f"at most {_native.MAX_FAULTS} at a time, counting each joint", quantity="faults")
+            raise InputError(
+                f"at most {_native.MAX_FAULTS} at a time, counting each joint", quantity="faults"
+            )
         for place, record in zip(places, fault_records(rows, self.scenario.seed, self._streams), strict=True):
             self.faults.put(place, record.reshape(1).view(np.uint8))
             self._ended[place] = False
@@ -396,7 +417,9 @@ class LiveArm(Loop):
             link = record[CHANNELS.index("link_position")]
             moved = np.diff(np.vstack([link, self._link()]), axis=0)
             work = float((external * moved).sum())
-        self.window = Window(origin, record, rows[0], np.zeros_like(rows[0]) if external is None else external, status, work)
+        self.window = Window(
+            origin, record, rows[0], np.zeros_like(rows[0]) if external is None else external, status, work
+        )
         return self.window
 
     def energy(self) -> tuple[float, float]:
@@ -446,7 +469,8 @@ class LiveArm(Loop):
         for name in ("qpos", "qvel", "qacc_warmstart"):
             getattr(self._data, name)[:] = getattr(other._data, name)
         mujoco.mj_forward(self._model, self._data)
-        assert self._core is not None and other._core is not None
+        assert self._core is not None
+        assert other._core is not None
         inputs = other._inputs()
         for i, joint in enumerate(self.controller.joints):
             w = inputs[self.robot.index(joint)].copy()

@@ -1,6 +1,8 @@
-"""The certificate beside the sliders: a guess at once, the proof from a process of its own as soon as it is there.
+"""The certificate beside the sliders: a guess at once, the proof from a process of its own as soon as it is
+there.
 
-Only joints whose numbers have changed are looked at. The newest numbers win: what has been overtaken is not proven.
+Only joints whose numbers have changed are looked at. The newest numbers win: what has been overtaken is not
+proven.
 """
 
 from __future__ import annotations
@@ -8,6 +10,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -183,8 +186,7 @@ class Certifier:
             return -np.inf
 
     def _margin(self, name: str, key: tuple[Any, ...]) -> Margin:
-        law, config = key[0], key[1]
-        bare = self._bare_of(name, config)
+        bare = self._bare_of(name, key[1])
         stamp, proof = self._proofs.get(name, (None, None))
         if proof is not None and stamp == key:
             index = proof.box.worst.value if proof.nominal.passive else proof.nominal.value
@@ -198,7 +200,9 @@ class Certifier:
         if guess <= 0:
             said = "gives out energy" if np.isfinite(guess) else "unstable, or cannot be judged"
             return Margin(name, "not certified", guess, _share(guess, bare), f"{said} (quick test)")
-        return Margin(name, "checking", guess, _share(guess, bare), f"about {guess:.3g} N m s/rad; being proven")
+        return Margin(
+            name, "checking", guess, _share(guess, bare), f"about {guess:.3g} N m s/rad; being proven"
+        )
 
     def _bare_of(self, name: str, config: ControllerConfig) -> float:
         key = name, config.period, config.sampling
@@ -213,9 +217,9 @@ class Certifier:
             if self._proofs.get(name, (None,))[0] != key and self._guesses[name][1] > 0:
                 return "proof", name
         name = self._map_of or ""
-        key = self._wanted.get(name)
-        if key is not None and isinstance(key[0], JointGains):
-            law, config = key[0], key[1]
+        shown = self._wanted.get(name)
+        if shown is not None and isinstance(shown[0], JointGains):
+            law, config = shown[0], shown[1]
             known = self._maps.get(name)
             if known is None or known[0] != _map_key(law, config) or _off_centre(known[1], law):
                 return "map", name
@@ -225,7 +229,7 @@ class Certifier:
         return None
 
     def _prove_all(self) -> None:
-        with suppress(_Closed), pool_of(1) as pool:
+        with suppress(_Closed, BrokenProcessPool), pool_of(1) as pool:
             while True:
                 with self._work:
                     while self._open and self._next() is None:
@@ -238,18 +242,21 @@ class Certifier:
                     key = self._wanted[name]
                 law, config = key[0], key[1]
                 with deaf_to_interrupts():
-                    job = pool.submit(_prove if kind == "proof" else _map, self._drives[name], law, config)
+                    work: Callable[..., Any] = _prove if kind == "proof" else _map
+                    job = pool.submit(work, self._drives[name], law, config)
+                done: Any = None
                 while not job.done():
                     with self._work:
                         if not self._open:
                             raise _Closed
                     with suppress(TimeoutError):
                         job.result(0.05)
+                done = job.result()
                 with self._work:
                     if kind == "proof":
-                        self._proofs[name] = (key, job.result())
+                        self._proofs[name] = (key, done)
                     else:
-                        self._maps[name] = (_map_key(law, config), law, job.result())
+                        self._maps[name] = (_map_key(law, config), law, done)
                 self.changed()
 
 
@@ -264,7 +271,7 @@ def _map_key(law: Law, config: ControllerConfig) -> tuple[Any, ...]:
 
 
 def _off_centre(centre: JointGains, now: JointGains) -> bool:
-    return max(abs(np.log10(now.R / centre.R)), abs(np.log10(now.D / centre.D))) > OFF_CENTRE
+    return bool(max(abs(np.log10(now.R / centre.R)), abs(np.log10(now.D / centre.D))) > OFF_CENTRE)
 
 
 def _share(index: float, bare: float) -> float:

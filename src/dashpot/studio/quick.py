@@ -1,8 +1,8 @@
 """The certificate's first guess, in milliseconds: enough to colour a slider while it moves, never a proof.
 
 Two lifted ports on a grid of frequencies give the index that infinitely many sub-intervals would have
-(`dashpot.certify.index`); a dip between the frequencies can be missed, so that what looks certified has yet to be
-proven. What is refused here would be refused there.
+(`dashpot.certify.index`); a dip between the frequencies can be missed, so that what looks certified has yet
+to be proven. What is refused here would be refused there.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def quick_index(
 
 
 def quick_worst(drive: Drive, law: Law, config: ControllerConfig, point: Mapping[str, float] | None) -> float:
-    """The lesser of the index at the drive's nominal values and at a point of its uncertainty, if one is given."""
+    """The lesser of the index at the nominal drive and at a point of its uncertainty, if one is given."""
     block = block_of(drive, law, config)  # the law rests on the nominal drive
     nominal = quick_index(drive, block, config)
     if point is None or not np.isfinite(nominal):

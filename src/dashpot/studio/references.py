@@ -136,8 +136,14 @@ class Wander:
         rng, n = np.random.default_rng(seed), len(pose)
         turns = rng.integers(BAND[0], BAND[1] + 1, (TONES, n))
         phase = rng.uniform(0, 2 * math.pi, (TONES, n))
-        share = rng.dirichlet(np.ones(TONES), n).T * amplitude
-        return cls(np.array(pose, float), period, share, 2 * math.pi / LOOP * turns, phase)
+        share: Floats = np.array(rng.dirichlet(np.ones(TONES), n).T * amplitude, np.float64)
+        return cls(
+            np.array(pose, float),
+            period,
+            share,
+            np.float64(2 * math.pi / LOOP) * turns.astype(np.float64),
+            phase,
+        )
 
     def at(self, ticks: NDArray[np.int64]) -> Floats:
         """See `Reference`."""
@@ -186,9 +192,7 @@ def go_to(start: Floats, target: Floats, period: float) -> Reference:
     return Move.of(start, target, period)
 
 
-def wander(
-    start: Floats, pose: Floats, amplitude: Floats, period: float, seed: int
-) -> Reference:
+def wander(start: Floats, pose: Floats, amplitude: Floats, period: float, seed: int) -> Reference:
     """A move to a pose (n,) [rad], and a `Wander` about it."""
     move = Move.of(start, pose, period)
     return Then(move, math.ceil(move.duration / period), Wander.of(pose, amplitude, period, seed))

@@ -1,7 +1,7 @@
 """The studio without its page: an arm that runs in real time, what it is told, and what it shows.
 
-All calls may come from any thread, also while the arm runs; between two windows of about 10 ms each takes effect at
-once. `step` runs a window by hand, for tests and for recordings that must be repeatable.
+All calls may come from any thread, also while the arm runs; between two windows of about 10 ms each takes
+effect at once. `step` runs a window by hand, for tests and for recordings that must be repeatable.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from dashpot.commands import NATIVE_LOOP
-from dashpot.controller import ControllerConfig, JointGains, Mode, load_controller
+from dashpot.controller import ControllerConfig, Mode, load_controller
 from dashpot.errors import DashpotError, InputError, InputWarning
 from dashpot.faults import Fault, FaultKind
 from dashpot.payload import Payload
@@ -29,11 +29,11 @@ from dashpot.robot import Robot
 from dashpot.sampled import Floats
 from dashpot.studio.choices import poses, rival_of
 from dashpot.studio.energy import Account, Energy
-from dashpot.studio.live import TRACK, LiveArm
+from dashpot.studio.live import LiveArm
 from dashpot.studio.margins import Certifier
 from dashpot.studio.push import Push
 from dashpot.studio.references import Hold, Reference, go_to, wander
-from dashpot.studio.ring import Ring
+from dashpot.studio.ring import Past, Ring
 from dashpot.supervisor import SupervisorSettings
 from dashpot.tables import as_float
 
@@ -195,8 +195,8 @@ class Session:
                 self.certifier = Certifier(arm) if self._certify else None
             self.robot, self.config, self.arm = arm, config, live
             self.payload, self._fixed = payload or Payload(0.0), tuple(fixed)
-            self.rival, self.rival_name = None, ""
-            self.rival: LiveArm | None
+            self.rival: LiveArm | None = None
+            self.rival_name = ""
             self.poses = poses(arm, plant)
             self.joint = config.joints[-1].name
             self.faults: dict[str, tuple[Fault, list[tuple[LiveArm, list[int]]]]] = {}
@@ -371,7 +371,9 @@ class Session:
             sizes = np.minimum(amplitude, np.maximum(0.9 * room, 0.0))
             start = self.arm.reference_now()
             self._follow(wander(start, target, sizes, self.config.period, self.seed))
-            self._tell(f"moves about {pose if isinstance(pose, str) else 'a pose'} by up to {amplitude:g} rad")
+            self._tell(
+                f"moves about {pose if isinstance(pose, str) else 'a pose'} by up to {amplitude:g} rad"
+            )
 
     def hold(self) -> None:
         """Comes to rest."""
@@ -443,8 +445,8 @@ class Session:
         """Changes numbers of a joint's law, or of all joints' ("all"), e.g. ``R=10.0``.
 
         Raises:
-            InputError: A number is out of its range, the joint's law has no such number, or the supervisor has
-                stopped the arm; everything stays as it was.
+            InputError: A number is out of its range, the joint's law has no such number, or the supervisor
+            has stopped the arm; everything stays as it was.
         """
         with self._lock:
             chosen = [law for law in self.config.joints if joint in ("all", law.name)]
@@ -457,8 +459,11 @@ class Session:
                 known = {f.name for f in fields(law)}
                 unknown = [key for key in numbers if key not in known]
                 if unknown:
-                    raise InputError(f'law "{law.law}" has no such number', joint=law.name, quantity=unknown[0])
-                laws[i] = replace(law, **{key: as_float(value) for key, value in numbers.items()})
+                    raise InputError(
+                        f'law "{law.law}" has no such number', joint=law.name, quantity=unknown[0]
+                    )
+                values: dict[str, Any] = {key: as_float(value) for key, value in numbers.items()}
+                laws[i] = replace(law, **values)
             self._retune(replace(self.config, joints=tuple(laws)))
 
     def configure(self, **settings: Any) -> None:
@@ -480,7 +485,7 @@ class Session:
             self._retune(config)
 
     def set_mode(self, joint: str, mode: Mode) -> None:
-        """Virtual passive control of a joint on ("active"), off ("bypass": position loop alone) or the motor off.
+        """Law of a joint on ("active"), bypassed (position loop alone), or its motor off.
 
         Raises:
             InputError: The supervisor has stopped the arm, or there is no such joint.
@@ -590,9 +595,25 @@ class Session:
             )
 
     def bodies(self) -> list[tuple[Floats, Floats]]:
-        """Positions (nbody, 3) [m] and quaternions wxyz (nbody, 4) of the arm, and of the rival if there is one."""
+        """Positions (nbody, 3) [m] and quaternions wxyz (nbody, 4) of the arm, and of the rival."""
         with self._lock:
             return [(np.array(arm.data.xpos), np.array(arm.data.xquat)) for arm in self._arms()]
+
+    def latest(self, since: float = -math.inf) -> list[News]:
+        """What happened since a time on the session's clock [s], oldest first."""
+        with self._lock:
+            return [news for news in self.news if news.time >= since]
+
+    def energy_since(self, when: float) -> Floats:
+        """Time and energies of every window since a time [s], (k, 5)."""
+        with self._lock:
+            rows = [row for row in self.energies if row[0] >= when]
+        return np.array(rows).reshape(-1, 5)
+
+    def past(self, seconds: float | None = None, rival: bool = False) -> Past:
+        """The last seconds [s] of the arm or of its rival, at every tick."""
+        with self._lock:
+            return (self.rival_ring if rival else self.ring).past(seconds)
 
     def tell(self, text: str, kind: str = "you") -> None:
         """Adds to the news."""
@@ -617,7 +638,9 @@ class Session:
         for name, q, drive in zip(self.robot.joints, angles, drives, strict=True):
             low, high = float(drive["stop_lower"]), float(drive["stop_upper"])
             if not low <= q <= high:
-                raise InputError(f"must be {low:.3g} to {high:.3g} rad", joint=name, quantity="angle [rad]", value=float(q))
+                raise InputError(
+                    f"must be {low:.3g} to {high:.3g} rad", joint=name, quantity="angle [rad]", value=float(q)
+                )
         return angles
 
     def _retune(self, config: ControllerConfig) -> None:
@@ -685,9 +708,9 @@ def _words(fault: Fault) -> str:
 class quiet(warnings.catch_warnings):  # noqa: N801 - reads as a statement
     """Input warnings are for the terminal; here the margins show what they say."""
 
-    def __enter__(self) -> None:  # type: ignore[override]
+    def __enter__(self) -> None:
         super().__enter__()
         warnings.simplefilter("ignore", InputWarning)
 
 
-__all__ = ["JointGains", "News", "Session", "Snapshot", "TRACK"]
+__all__ = ["News", "Session", "Snapshot"]

@@ -44,15 +44,12 @@ class Charts:
                     (empty, empty, empty, empty),
                     (
                         {},
-                        {"label": "this", "stroke": BLUE, "width": 1.5, "points": {"show": False}},
+                        {"label": "supervisor", "stroke": ORANGE, "width": 2, "points": {"show": False}},
                         {
                             "label": "beside it", "stroke": VERMILLION, "width": 1.5, "dash": (6, 4),
                             "points": {"show": False},
                         },
-                        {
-                            "label": "supervisor", "stroke": ORANGE, "width": 0, "fill": ORANGE,
-                            "points": {"show": True, "size": 9, "fill": ORANGE},
-                        },
+                        {"label": "this", "stroke": BLUE, "width": 1.5, "points": {"show": False}},
                     ),
                     **_options(),
                 )
@@ -88,22 +85,21 @@ class Charts:
             return
         j = session.robot.index(session.joint)
         other = session.past(SECONDS, rival=True) if session.rival is not None else None
-        mine = _lines(past, j)
+        mine = np.nan_to_num(_lines(past, j))  # a sensor that says nothing is drawn as zero
         rows, shown = envelope(mine, BINS)
         time = past.time[rows]
-        beside = np.full_like(shown, np.nan)
+        beside = shown.copy()  # hidden behind it; a number that is none would leave the chart without a range
         if other is not None and len(other.time) > 3:
-            theirs = np.full_like(mine, np.nan)
+            theirs = mine.copy()
             count = min(len(other.time), len(mine))
             theirs[-count:] = _lines(other, j)[-count:]
-            beside = envelope(theirs, BINS)[1]
+            beside = np.where(np.isfinite(found := envelope(theirs, BINS)[1]), found, shown)
         marks = [news.time for news in session.latest(time[0]) if news.kind == "supervisor"]
         for k, plot in enumerate(self._plots):
-            dots = np.full(len(time), np.nan)
-            for when in marks:
-                i = min(int(np.searchsorted(time, when)), len(time) - 1)
-                dots[i] = shown[i, k]
-            plot.data = (time, shown[:, k], beside[:, k], dots)
+            spikes = shown[:, k].copy()
+            for when in marks:  # a line from the curve to the top
+                spikes[min(int(np.searchsorted(time, when)), len(time) - 1)] = shown[:, k].max()
+            plot.data = (time, spikes, beside[:, k], shown[:, k])
         energy = session.energy_since(time[0])
         if len(energy) > 3:
             rows, values = envelope(energy[:, 1:], BINS)

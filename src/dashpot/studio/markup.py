@@ -90,7 +90,8 @@ def status(
         f'<div style="display:flex;justify-content:space-between;align-items:center">'
         f'<span id="dp-state" data-state="{state}" style="background:{colour};color:#fff;border-radius:3px;'
         f'padding:1px 8px;font-weight:600">{word}{closed}</span>'
-        f"<span>{time:.1f} s · {pace}</span><span>{payload:.2f} kg</span></div>"
+        f"<span>{time:.1f} s · {pace}</span><span>{payload:.2f} kg</span></div>",
+        "0 12px 8px",
     )
 
 

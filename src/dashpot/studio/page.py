@@ -38,6 +38,8 @@ class Page:
         server: viser's.
         session: What it shows.
         robot_name, controller_name: As they were given.
+        visitors: Pages that are open.
+        wakes: Whether time begins when somebody opens a page.
     """
 
     def __init__(
@@ -81,8 +83,7 @@ class Page:
             self.record = RecordPanel(self)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(370)
-        self._visitors = 0
-        self._paused_by_us = True
+        self.visitors, self.wakes, self._asleep = 0, True, True
         self.server.on_client_connect(self._came)
         self.server.on_client_disconnect(self._left)
         self._watch()
@@ -114,7 +115,7 @@ class Page:
         self.robot_name, self.controller_name = robot, controller
         self.arm_panel.name()
         self._watch()
-        if self._visitors:
+        if self.visitors and self.wakes:
             self.session.start()
 
     def restart(self) -> None:
@@ -128,20 +129,20 @@ class Page:
     # Visitors.
 
     def _came(self, client: viser.ClientHandle) -> None:
-        self._visitors += 1
-        if self._paused_by_us:
-            self._paused_by_us = False
+        self.visitors += 1
+        if self._asleep and self.wakes:
+            self._asleep = False
             self.session.start()
 
     def _left(self, client: viser.ClientHandle) -> None:
-        self._visitors = max(0, self._visitors - 1)
+        self.visitors = max(0, self.visitors - 1)
         if self._hand == client.client_id:
             self._hand = None
             self.session.let_go()
-        if self._visitors == 0 and self.session.running:  # nobody looks: time stands still
+        if self.visitors == 0:  # nobody looks: time stands still
             self.session.let_go()
+            self._asleep |= self.session.running
             self.session.pause()
-            self._paused_by_us = True
 
     def _dragged(self, body: int, event: Any) -> None:
         if event.phase == "start":
@@ -185,7 +186,7 @@ class Page:
             if now >= due["text"]:
                 due["text"] = now + TEXT
                 self._show_text()
-            if now >= due["charts"] and (self._visitors or due["charts"] == 0.0):
+            if now >= due["charts"] and (self.visitors or due["charts"] == 0.0):
                 due["charts"] = now + CHARTS
                 self.charts.draw(self.session)
             if now >= due["fields"]:

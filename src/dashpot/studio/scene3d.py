@@ -171,7 +171,7 @@ def look_at(server: viser.ViserServer, model: Any) -> None:
     centre = np.array(model.stat.center)
     if not np.isfinite(centre).all() or size > 10:
         centre, size = np.array([0.2, 0.0, 0.4]), 1.0
-    server.initial_camera.position = tuple(centre + size * np.array([1.25, -1.45, 0.55]))
+    server.initial_camera.position = tuple(centre + size * np.array([0.95, -1.15, 0.4]))
     server.initial_camera.look_at = tuple(centre)
 
 

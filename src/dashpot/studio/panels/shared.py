@@ -76,7 +76,7 @@ class LogField:
         """
         self.low, self.high, self._zero, self._changed = low, high, zero, changed
         self._lock = threading.RLock()
-        self._number: Any = gui.add_number(label, initial_value=float(value), step=None, hint=hint or None)
+        self._number: Any = gui.add_number(label, initial_value=float(value), step=0.001, hint=hint or None)
         decades = [10.0**k for k in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)]
         while len(decades) > 5:
             decades = decades[::2]

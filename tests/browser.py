@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 ARGUMENTS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
-PATIENCE = 60.0  # [s]; the picture is drawn by the processor
+PATIENCE = 40.0  # [s]; the picture is drawn by the processor
 COARSE = "/?fixedDpr=0.25"  # fewer pixels to draw
 
 

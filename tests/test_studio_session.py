@@ -12,7 +12,7 @@ from dashpot.controller import Controller, load_controller
 from dashpot.errors import InputError
 from dashpot.faults import Fault
 from dashpot.payload import Payload
-from dashpot.plant import build
+from dashpot.plant import build, with_timestep
 from dashpot.recording import CHANNELS
 from dashpot.robot import Robot
 from dashpot.simulate import Event, PayloadChange, Scenario, run
@@ -60,9 +60,11 @@ def test_live_is_simulate_bit_for_bit(name: str, controller: str) -> None:
             supervisor=SupervisorSettings(),
         )
     )
+    heavy = build(robot, h, [HEAVY])
+    if heavy.timestep < plant.timestep:  # the shortest step that one of the loads needs, as simulate does
+        plant = with_timestep(plant, heavy.timestep)
     arm = LiveArm(robot, config, plant, Play(path), payloads=[LOAD], supervisor=SupervisorSettings(), seed=5)
     rng, marks, seen = np.random.default_rng(0), [cut, fails, lost, ticks], []
-    heavy = build(robot, h, [HEAVY])
     arm.begin(drops)
     while arm.tick < ticks:
         if arm.tick == cut:

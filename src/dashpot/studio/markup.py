@@ -1,0 +1,261 @@
+"""Pieces of the page as HTML and SVG: text that is read, so names and units are those of the command line.
+
+Colours are Okabe and Ito's, and never the only sign: certified is blue with a tick, refused is vermillion with a cross.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import struct
+import zlib
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dashpot.studio.margins import Margin, Plane
+
+BLUE, VERMILLION, GREEN, GREY, ORANGE = "#0072B2", "#D55E00", "#009E73", "#7A7A7A", "#B87500"
+SIGN = {"certified": ("✓", BLUE), "checking": ("…", GREY), "not certified": ("✗", VERMILLION)}
+STATE = {
+    "track": ("tracking", BLUE),
+    "torque_brake": ("torque brake", ORANGE),
+    "encoder_brake": ("encoder brake", ORANGE),
+    "safe": ("safe, brake closed", VERMILLION),
+}
+FONT = "font:12px/1.35 system-ui,sans-serif;color:#222"
+
+
+def escaped(text: str) -> str:
+    """Text that may stand in HTML."""
+    return html.escape(text)
+
+
+def block(inner: str, pad: str = "0 12px") -> str:
+    """A paragraph of the panel."""
+    return f'<div style="{FONT};padding:{pad}">{inner}</div>'
+
+
+def trouble(text: str) -> str:
+    """A message beside a field; "" takes no room."""
+    if not text:
+        return ""
+    return block(
+        f'<div role="alert" style="border-left:3px solid {VERMILLION};padding:3px 8px;background:#FFF4ED">'
+        f"{escaped(text)}</div>",
+        "2px 12px",
+    )
+
+
+def margins(rows: Sequence[Margin], chosen: str, modes: dict[str, str]) -> str:
+    """A bar per joint: the worst damping its port shows, over what the drive shows alone."""
+    most = max([1.0, *(row.share for row in rows if np.isfinite(row.share))])
+    lines = []
+    for row in rows:
+        sign, colour = SIGN[row.verdict]
+        width = 100 * min(max(row.share / most, 0.0), 1.0) if np.isfinite(row.share) else 0
+        bar = (
+            f'<div style="height:9px;width:{max(width, 3):.0f}%;background:{colour};'
+            + ("opacity:.45;" if row.verdict == "checking" else "")
+            + '"></div>'
+        )
+        number = f"{row.index:.2g}" if np.isfinite(row.index) else "−∞"
+        weight = "600" if row.joint == chosen else "400"
+        mode = modes.get(row.joint, "")
+        lines.append(
+            f'<tr style="font-weight:{weight}" data-joint="{escaped(row.joint)}" data-verdict="{row.verdict}">'
+            f'<td style="padding-right:8px">{escaped(row.joint)}{" · " + mode if mode else ""}</td>'
+            f'<td style="width:50%;background:#EEF0F1;vertical-align:middle;padding:0">{bar}</td>'
+            f'<td style="text-align:right;padding-left:8px">{number}</td>'
+            f'<td style="color:{colour};padding-left:8px;white-space:nowrap">{sign} {row.verdict}</td></tr>'
+        )
+    shown = next((row for row in rows if row.joint == chosen), None)
+    words = f'<div style="margin-top:3px">{escaped(shown.words)}</div>' if shown else ""
+    return block(
+        '<div style="display:flex;justify-content:space-between"><b>Certificate</b>'
+        '<span style="color:#666">margin [N m s/rad]</span></div>'
+        f'<table style="width:100%;border-collapse:collapse">{"".join(lines)}</table>{words}'
+    )
+
+
+def status(
+    state: str, brake: bool, factor: float, running: bool, time: float, supervised: bool, payload: float
+) -> str:
+    """The line on top: state, time, load."""
+    word, colour = STATE[state] if supervised else ("no supervisor", GREY)
+    pace = f"real time × {factor:.2f}" if running else "paused"
+    closed = ", brakes closed" if brake else ""
+    return block(
+        f'<div style="display:flex;justify-content:space-between;align-items:center">'
+        f'<span id="dp-state" data-state="{state}" style="background:{colour};color:#fff;border-radius:3px;'
+        f'padding:1px 8px;font-weight:600">{word}{closed}</span>'
+        f"<span>{time:.1f} s · {pace}</span><span>{payload:.2f} kg</span></div>",
+        "0 12px 8px",
+    )
+
+
+def legend(title: str, unit: str, entries: Sequence[tuple[str, str, str]]) -> str:
+    """A chart's title with its lines: (label, colour, "solid" or "dashed" or "dotted")."""
+    keys = "".join(
+        f'<span style="margin-left:10px;white-space:nowrap"><span style="display:inline-block;width:18px;'
+        f'border-top:2px {style} {colour};vertical-align:middle;margin-right:3px"></span>{escaped(label)}</span>'
+        for label, colour, style in entries
+    )
+    return block(
+        f'<div style="display:flex;flex-wrap:wrap;justify-content:space-between"><span><b>{escaped(title)}</b> '
+        f'[{escaped(unit)}]</span><span style="color:#444">{keys}</span></div>',
+        "0 8px 0 12px",
+    )
+
+
+def news(lines: Sequence[tuple[float, str, str]]) -> str:
+    """What happened, newest first."""
+    colours = {"supervisor": ORANGE, "trouble": VERMILLION, "scene": BLUE}
+    rows = "".join(
+        f'<tr><td style="color:#777;padding-right:8px;vertical-align:top;white-space:nowrap">{when:.2f} s</td>'
+        f'<td style="color:{colours.get(kind, "#222")}">{escaped(text)}</td></tr>'
+        for when, text, kind in lines
+    )
+    return block(f'<table style="border-collapse:collapse">{rows}</table>')
+
+
+def plane(shown: Plane, joint: str, width: int = 330) -> str:
+    """The map of R and D with the current point, and the window over load inertia, as SVG."""
+    return block(_map(shown, joint, width) + _window(shown, width), "0 8px")
+
+
+def _map(shown: Plane, joint: str, width: int) -> str:
+    found, left, bottom, height = shown.found, 44, 34, 200
+    if found is None:
+        words = "no map: this law has no R and D" if np.isnan(shown.R) else "the map is being computed"
+        return f'<div style="height:40px;color:#666;padding:8px 4px">{words}</div>'
+    w, h = width - left - 8, height - bottom - 8
+    x0, x1 = np.log10(found.R[[0, -1]])
+    y0, y1 = np.log10(found.D[[0, -1]])
+
+    def x(R: float) -> float:
+        return float(left + w * (np.log10(R) - x0) / (x1 - x0))
+
+    def y(D: float) -> float:
+        return float(8 + h * (1 - (np.log10(D) - y0) / (y1 - y0)))
+
+    top = max(float(found.index.max()), 1e-9)
+    share = np.clip(found.index / top, 0, 1)[..., None]
+    image = np.where(found.index[..., None] >= 0, (1 - share) * [222, 235, 247] + share * [66, 146, 198], 233)
+    hatched = ""
+    rows, columns = found.coarse
+    if found.oscillates.any():
+        dx, dy = w / len(columns), h / len(rows)
+        for i, j in np.argwhere(found.oscillates):
+            cx, cy = x(found.R[columns[j]]), y(found.D[rows[i]])
+            hatched += (
+                f'<rect x="{cx - dx / 2:.1f}" y="{cy - dy / 2:.1f}" width="{dx:.1f}" height="{dy:.1f}"/>'
+            )
+    px, py = min(max(x(shown.R), left), left + w), min(max(y(shown.D), 8), 8 + h)
+    at = int(np.abs(np.log(found.D / shown.D)).argmin()), int(np.abs(np.log(found.R / shown.R)).argmin())
+    inside = "certified" if found.index[at] >= 0 else "not certified"
+    ticks = "".join(
+        f'<text x="{x(v):.0f}" y="{height - bottom + 13}" text-anchor="middle">{v:g}</text>'
+        f'<line x1="{x(v):.0f}" x2="{x(v):.0f}" y1="{8 + h}" y2="{8 + h + 3}" stroke="#444"/>'
+        for v in _ticks(found.R[0], found.R[-1])
+    ) + "".join(
+        f'<text x="{left - 5}" y="{y(v) + 4:.0f}" text-anchor="end">{v:g}</text>'
+        f'<line x1="{left - 3}" x2="{left}" y1="{y(v):.0f}" y2="{y(v):.0f}" stroke="#444"/>'
+        for v in _ticks(found.D[0], found.D[-1])
+    )
+    return (
+        f'<svg id="dp-map" data-inside="{inside}" width="{width}" height="{height}" role="img" '
+        f'aria-label="{escaped(joint)}: map of R and D, the point is {inside}" font-size="11" fill="#222">'
+        '<defs><pattern id="dp-hatch" width="6" height="6" patternUnits="userSpaceOnUse" '
+        f'patternTransform="rotate(45)"><line x1="0" y1="0" x2="0" y2="6" stroke="{VERMILLION}" stroke-width="1.4"/>'
+        "</pattern></defs>"
+        f'<image x="{left}" y="8" width="{w}" height="{h}" preserveAspectRatio="none" '
+        f'style="image-rendering:pixelated" href="{_png(image[::-1].astype(np.uint8))}"/>'
+        f'<g fill="url(#dp-hatch)">{hatched}</g>'
+        f'<rect x="{left}" y="8" width="{w}" height="{h}" fill="none" stroke="#999"/>'
+        f'<circle cx="{px:.1f}" cy="{py:.1f}" r="6" fill="#fff" stroke="#000" stroke-width="2"/>'
+        f'<circle cx="{px:.1f}" cy="{py:.1f}" r="1.5"/>{ticks}'
+        f'<text x="{left + w / 2:.0f}" y="{height - 6}" text-anchor="middle">R [-]</text>'
+        f'<text transform="translate(11,{8 + h / 2:.0f}) rotate(-90)" text-anchor="middle">D [N m s/rad]</text></svg>'
+        '<div style="display:flex;gap:10px;color:#444;margin:0 0 6px 44px;flex-wrap:wrap">'
+        '<span><span style="display:inline-block;width:11px;height:11px;background:#6baed6"></span> certified</span>'
+        '<span><span style="display:inline-block;width:11px;height:11px;background:#e9e9e9;border:1px solid #bbb">'
+        "</span> not certified</span>"
+        f'<span style="color:{VERMILLION}"><span style="display:inline-block;width:11px;height:11px;background:'
+        f'repeating-linear-gradient(45deg,{VERMILLION} 0 1.5px,#e9e9e9 1.5px 4px)"></span> an inertia oscillates</span>'
+        "<span>○ now</span></div>"
+    )
+
+
+def _window(shown: Plane, width: int) -> str:
+    left, bottom, height = 44, 32, 128
+    w, h = width - left - 8, height - bottom - 8
+    ratio = shown.damping
+    good = np.isfinite(ratio)
+    if not good.any():
+        return ""
+    low, high = min(-0.1, float(np.nanmin(ratio))), min(1.0, max(0.2, float(np.nanmax(ratio))))
+    low = max(low, -0.6)
+    x0, x1 = np.log10(shown.inertia[[0, -1]])
+    xs = left + w * (np.log10(shown.inertia) - x0) / (x1 - x0)
+    ys = 8 + h * (1 - (np.clip(ratio, low, high) - low) / (high - low))
+    zero = 8 + h * (1 - (0 - low) / (high - low))
+    pieces, path = [], ""
+    for px, py, fine in zip(xs, ys, good, strict=True):
+        if fine:
+            path += f"{'L' if path else 'M'}{px:.1f},{py:.1f}"
+        elif path:
+            pieces.append(path)
+            path = ""
+    pieces.append(path)
+    line = "".join(f'<path d="{p}" fill="none" stroke="{BLUE}" stroke-width="2"/>' for p in pieces if p)
+    bad = good & (ratio < 0)
+    words = "no free load oscillates"
+    if bad.any():
+        worst = int(np.nanargmin(ratio))
+        words = (
+            f"oscillates with {shown.inertia[bad][0]:.2g} to {shown.inertia[bad][-1]:.2g} kg m², worst at "
+            f"{shown.frequency[worst]:.2g} Hz"
+        )
+    ticks = "".join(
+        f'<text x="{left + w * (np.log10(v) - x0) / (x1 - x0):.0f}" y="{8 + h + 13}" text-anchor="middle">{v:g}</text>'
+        for v in _ticks(shown.inertia[0], shown.inertia[-1])
+    )
+    return (
+        f'<svg width="{width}" height="{height}" role="img" aria-label="{words}" font-size="11" fill="#222">'
+        f'<rect x="{left}" y="{zero:.1f}" width="{w}" height="{max(8 + h - zero, 0):.1f}" fill="{VERMILLION}" '
+        f'opacity="0.14"/><line x1="{left}" x2="{left + w}" y1="{zero:.1f}" y2="{zero:.1f}" stroke="#444"/>{line}'
+        f'<rect x="{left}" y="8" width="{w}" height="{h}" fill="none" stroke="#999"/>'
+        f'<text x="{left - 5}" y="{zero + 4:.0f}" text-anchor="end">0</text>'
+        f'<text x="{left - 5}" y="16" text-anchor="end">{high:.2g}</text>{ticks}'
+        f'<text x="{left + w / 2:.0f}" y="{height - 5}" text-anchor="middle">load inertia [kg m²]</text>'
+        f'<text transform="translate(11,{8 + h / 2:.0f}) rotate(-90)" text-anchor="middle">damping [-]</text></svg>'
+        f'<div style="margin-left:44px;color:{VERMILLION if bad.any() else "#444"}">{words}</div>'
+    )
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    decades = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    return [10.0**k for k in decades if low <= 10.0**k <= high]
+
+
+def _png(pixels: NDArray[np.uint8]) -> str:
+    """An RGB image (rows, columns, 3) as a data URI."""
+    rows, columns, _ = pixels.shape
+
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+    raw = b"".join(b"\0" + row.tobytes() for row in np.ascontiguousarray(pixels))
+    header = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)
+    data = (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(raw))
+        + chunk(b"IEND", b"")
+    )
+    return "data:image/png;base64," + base64.b64encode(data).decode()
+
+
+__all__ = ["block", "escaped", "legend", "margins", "news", "plane", "status", "trouble"]

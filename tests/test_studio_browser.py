@@ -1,0 +1,167 @@
+"""The studio in a real browser: every step asserted on the simulation behind the page."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlparse
+
+import numpy as np
+import pytest
+from browser import COARSE, Visitor, chromium, until
+
+pytest.importorskip("viser", reason="pip install 'dashpot[studio]'")
+pytestmark = pytest.mark.skipif(
+    "DASHPOT_BROWSER" not in os.environ,
+    reason="draws 3D on the processor, minutes on a busy machine; DASHPOT_BROWSER=1 runs it",
+)
+
+
+@pytest.fixture(scope="module")
+def visit() -> Iterator[tuple[Visitor, object, object]]:
+    from dashpot.studio.page import open_page
+
+    page = open_page("k807", "k807-wrist", None, host="127.0.0.1", port=8360, supervise=True, seed=0)
+    page.wakes = False  # the tests run it by hand: nothing is drawn while nobody needs it
+    try:
+        with chromium() as browser:
+            yield Visitor(browser, page.url + COARSE), page, browser
+    finally:
+        page.close()
+        page.session.close()
+
+
+def test_a_visit(visit, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """Load, slider, certificate, fault, push, guided scene, replay, a second tab: as a newcomer would."""
+    visitor, page, browser = visit
+    session = page.session
+    until(lambda: visitor.has("#dp-state"), "the page")
+    session.step(0.2)
+
+    # The certificate turns as R goes down, by keyboard; the proof follows the guess.
+    visitor.click("Controller", "[role=tab]")
+    until(lambda: visitor.has("tr[data-joint=joint7]"), "the margins")
+    assert session.certifier.margins()[-1].verdict == "not certified"
+    visitor.focus("D [N m s/rad]", "input")
+    visitor.page.keyboard.press("Control+a")
+    visitor.page.keyboard.type("2.5")
+    until(lambda: session.config.joints[-1].D == 2.5, "D = 2.5")
+    visitor.focus("R [-]", "[role=slider]")
+    for _ in range(88):
+        visitor.page.keyboard.press("ArrowLeft")
+    until(lambda: session.config.joints[-1].R < 1.1, "a smaller R")
+    until(lambda: session.certifier.margins()[-1].verdict == "certified", "the proof")
+    until(lambda: visitor.has('tr[data-joint=joint7][data-verdict="certified"]'), "it on the page")
+
+    # Bad input is explained beside the field and changes nothing.
+    kept = session.config
+    visitor.focus("R [-]", "input")
+    visitor.page.keyboard.press("Control+a")
+    visitor.page.keyboard.type("-3")
+    visitor.page.keyboard.press("Enter")
+    until(lambda: "R" in visitor.text("[role=alert]"), "the explanation")
+    assert session.config == kept
+
+    # The encoder is lost: the arm brakes.
+    session.restart()
+    session.move(0.3)
+    session.step(4.0)
+    visitor.click("Faults", "[role=tab]")
+    visitor.click("Encoder lost", "label")
+    until(lambda: session.faults, "the fault")
+    session.step(2.0)
+    assert session.arm.state == "torque_brake"
+    assert np.abs(session.snapshot().velocity).max() < 0.05
+    until(
+        lambda: visitor.page.evaluate("document.querySelector('#dp-state').dataset.state") == "torque_brake",
+        "it",
+    )
+    visitor.click("Heal everything", "button")
+    until(lambda: not session.faults, "healing")
+    visitor.click("Resume tracking", "button")
+    until(lambda: session.arm.state == "track", "tracking")
+
+    # A link is pushed with the mouse.
+    session.restart()
+    session.step(0.2)
+    visitor.page.keyboard.down("Control")
+    middle = _on_arm(visitor, page)
+    visitor.page.mouse.move(*middle)
+    visitor.page.mouse.down()
+    for k in range(1, 8):
+        visitor.page.mouse.move(middle[0] + 15 * k, middle[1])
+        visitor.page.wait_for_timeout(60)
+    until(lambda: session.arm.push is not None, "the hand")
+    begun = session.snapshot().position
+    session.step(0.5)
+    push = session.snapshot().push
+    assert push is not None
+    assert np.linalg.norm(push[0]) > 3.0
+    assert np.abs(session.snapshot().position - begun).max() > 1e-3
+    visitor.page.mouse.up()
+    visitor.page.keyboard.up("Control")
+    until(lambda: session.arm.push is None, "letting go")
+
+    # A guided scene.
+    visitor.click("Guide", "[role=tab]")
+    visitor.click("2 · Braking without an encoder (Fig. 5)", "button")
+    until(lambda: session.rival_name == "law bypassed", "the scene")
+    session.pause()
+    session.step(6.0 - session.time)
+    j = session.robot.index("joint7")
+    mine, other = (session.past(rival=rival).channel("link_position")[:, j] for rival in (False, True))
+    assert abs(np.degrees(mine[-1] - mine[int(3.3 / 0.005)])) < 3.0
+    assert np.degrees(other[-1] - other[int(3.0 / 0.005)]) > 60.0
+
+    # The replay, opened from a file without a server.
+    visitor.click("Record", "[role=tab]")
+    with visitor.page.expect_download() as download:
+        visitor.click("3D replay as one HTML file", "button")
+    file = tmp_path / "replay.html"
+    download.value.save_as(file)
+    offline = browser.new_context(offline=True)
+    film = offline.new_page()
+    film.goto(file.as_uri(), wait_until="commit")
+    until(lambda: film.evaluate("!!document.querySelector('canvas')"), "the replay")
+    offline.close()
+
+    # Nothing left the machine, and nothing broke.
+    hosts = {urlparse(url).hostname for url in visitor.requests if not url.startswith(("blob:", "data:"))}
+    assert hosts <= {"127.0.0.1"}
+    assert visitor.errors == []
+
+    # A second tab comes and goes; the last one leaves, and time stands still.
+    page.wakes = True
+    second = Visitor(browser, page.url + COARSE, 640, 480)
+    until(lambda: second.has("#dp-state"), "the second tab")
+    session.start()
+    second.page.close()
+    until(lambda: page.visitors == 1, "one visitor")
+    assert session.running
+    visitor.page.close()
+    until(lambda: not session.running, "standing still")
+
+
+def _on_arm(visitor: Visitor, page: object) -> tuple[float, float]:
+    """A pixel at which the forearm is, from the camera the page begins with."""
+    session = page.session  # type: ignore[attr-defined]
+    camera = page.server.initial_camera  # type: ignore[attr-defined]
+    eye, target = np.array(camera.position), np.array(camera.look_at)
+    point = session.bodies()[0][0][session.arm.model.body("link5").id]
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    seen = point - eye
+    canvases = visitor.page.evaluate(
+        "() => [...document.querySelectorAll('canvas')].map(c => { const b = c.getBoundingClientRect();"
+        " return [b.x, b.y, b.width, b.height]; })"
+    )
+    box = max(canvases, key=lambda b: b[2] * b[3])
+    scale = box[3] / 2 / np.tan(float(camera.fov) / 2)
+    depth = seen @ forward
+    return (
+        float(box[0] + box[2] / 2 + scale * (seen @ right) / depth),
+        float(box[1] + box[3] / 2 - scale * (seen @ up) / depth),
+    )

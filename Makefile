@@ -84,6 +84,9 @@ $(VENV)/.installed: $(NATIVE) $(FOLDERS) | $(VENV)/bin/python
 
 $(VENV)/.test: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	@command -v chromium > /dev/null || command -v chromium-browser > /dev/null || command -v google-chrome > /dev/null || \
+	  PLAYWRIGHT_DOWNLOAD_CONNECTION_TIMEOUT=10000 $(BIN)/python -m playwright install chromium > /dev/null 2>&1 || \
+	  echo "No Chromium here, and none to be had: the test of the studio in a browser will be skipped; install chromium."
 	touch $@
 
 $(VENV)/.bench: $(VENV)/.installed

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import os
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlparse
 
 import numpy as np
 import pytest
-from browser import COARSE, Visitor, chromium, until
+
+from dashpot.studies.visitor import COARSE, NoBrowserError, Visitor, chromium, until
 
 pytest.importorskip("viser", reason="pip install 'dashpot[studio]'")
-pytestmark = pytest.mark.skipif(
-    "DASHPOT_BROWSER" not in os.environ,
-    reason="draws 3D on the processor, minutes on a busy machine; DASHPOT_BROWSER=1 runs it",
-)
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +24,8 @@ def visit() -> Iterator[tuple[Visitor, object, object]]:
     try:
         with chromium() as browser:
             yield Visitor(browser, page.url + COARSE), page, browser
+    except NoBrowserError as missing:
+        pytest.skip(str(missing))
     finally:
         page.close()
         page.session.close()
@@ -59,9 +58,10 @@ def test_a_visit(visit, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     visitor.focus("R [-]", "input")
     visitor.page.keyboard.press("Control+a")
     visitor.page.keyboard.type("-3")
-    visitor.page.keyboard.press("Enter")
-    until(lambda: "R" in visitor.text("[role=alert]"), "the explanation")
+    until(lambda: "R [-] = -3" in visitor.text(".dp-trouble"), "the explanation")
     assert session.config == kept
+    time.sleep(0.7)  # the page has shown all fields anew: what was typed is still there to be mended
+    assert visitor.page.evaluate("document.activeElement.value") == "-3"
 
     # The encoder is lost: the arm brakes.
     session.restart()
@@ -85,6 +85,9 @@ def test_a_visit(visit, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     # A link is pushed with the mouse.
     session.restart()
     session.step(0.2)
+    home = session.snapshot().position
+    session.step(0.5)
+    still = np.abs(session.snapshot().position - home).max()
     visitor.page.keyboard.down("Control")
     middle = _on_arm(visitor, page)
     visitor.page.mouse.move(*middle)
@@ -98,7 +101,7 @@ def test_a_visit(visit, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     push = session.snapshot().push
     assert push is not None
     assert np.linalg.norm(push[0]) > 3.0
-    assert np.abs(session.snapshot().position - begun).max() > 1e-3
+    assert np.abs(session.snapshot().position - begun).max() > max(1e-4, 10 * still)  # its drives hold it
     visitor.page.mouse.up()
     visitor.page.keyboard.up("Control")
     until(lambda: session.arm.push is None, "letting go")

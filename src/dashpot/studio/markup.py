@@ -42,7 +42,7 @@ def trouble(text: str) -> str:
     if not text:
         return ""
     return block(
-        f'<div role="alert" style="border-left:3px solid {VERMILLION};padding:3px 8px;background:#FFF4ED">'
+        f'<div role="alert" class="dp-trouble" style="border-left:3px solid {VERMILLION};padding:3px 8px;background:#FFF4ED">'
         f"{escaped(text)}</div>",
         "2px 12px",
     )

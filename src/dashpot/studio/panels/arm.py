@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from dashpot.controller import BUNDLED as CONTROLLERS
 from dashpot.payload import Payload
 from dashpot.robot import BUNDLED
 from dashpot.studio.markup import block
-from dashpot.studio.panels.shared import Beside, by_hand, set_quietly
+from dashpot.studio.panels.shared import Beside, NumberField, Settled, by_hand, set_quietly
 from dashpot.studio.session import HEAVIEST, POUND
 
 if TYPE_CHECKING:
@@ -42,8 +40,8 @@ class ArmPanel:
             self._mass = gui.add_slider(
                 "mass [kg]", min=0.0, max=HEAVIEST / 2, step=0.05, initial_value=session.payload.mass
             )
-            self._pounds = gui.add_number(
-                "mass [lb]", initial_value=round(session.payload.mass / POUND, 2), min=0.0, step=0.5
+            self._pounds = NumberField(
+                gui, "mass [lb]", _pounds(session.payload.mass), lambda lb: self._weigh(lb * POUND), step=0.5
             )
             self._offset: Any = gui.add_vector3(
                 "offset [m]",
@@ -51,6 +49,7 @@ class ArmPanel:
                 step=0.01,
                 hint="Centre, in the flange frame",
             )
+            self._shown = tuple(float(part) for part in session.payload.position)
             self._beside_load = Beside(gui)
         with gui.add_folder("Motion"):
             self._pose = gui.add_button_group("go to", tuple(session.poses))
@@ -65,8 +64,7 @@ class ArmPanel:
         self._pick.on_click(self._picked)
         self._load.on_click(lambda _: self._loaded())
         by_hand(self._mass, lambda kg: self._weigh(float(kg)))
-        by_hand(self._pounds, lambda lb: self._weigh(float(lb) * POUND))
-        by_hand(self._offset, lambda _: self._weigh(float(self._mass.value)))
+        by_hand(self._offset, Settled(lambda _: self._weigh(page.session.payload.mass)))
         self._pose.on_click(lambda _: self._do(lambda: page.session.go(self._pose.value)))
         self._move.on_click(lambda _: self._do(lambda: page.session.move(float(self._amplitude.value))))
         self._hold.on_click(lambda _: self._do(page.session.hold))
@@ -78,10 +76,10 @@ class ArmPanel:
         mass = session.payload.mass
         if abs(float(self._mass.value) - mass) > 0.026:
             set_quietly(self._mass, min(round(mass, 2), HEAVIEST / 2))
-        set_quietly(self._pounds, round(mass / POUND, 2))
+        self._pounds.show(_pounds(mass))
         offset = tuple(float(part) for part in session.payload.position)
-        if not np.allclose(self._offset.value, offset):
-            self._offset.value = offset
+        if offset != self._shown:  # else what is typed, and may have been refused, stays
+            self._offset.value = self._shown = offset
         if tuple(self._pose.options) != tuple(session.poses):
             self._pose.options = tuple(session.poses)
 
@@ -110,3 +108,7 @@ class ArmPanel:
     def _tapped(self) -> None:
         sign = 1.0 if self._tap.value == "+" else -1.0
         self._do(lambda: self._page.session.tap(self._page.session.joint, sign * TAP))
+
+
+def _pounds(mass: float) -> float:
+    return round(mass / POUND, 2)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from dashpot.controller import BUNDLED, JointGains, load_controller
+from dashpot.controller import BUNDLED, ControllerConfig, JointGains, load_controller
 from dashpot.errors import DashpotError
 from dashpot.studio import markup
-from dashpot.studio.panels.shared import Beside, LogField, by_hand, set_quietly
+from dashpot.studio.panels.shared import Beside, LogField, NumberField, by_hand, set_quietly
 
 if TYPE_CHECKING:
     from dashpot.studio.page import Page
@@ -42,8 +42,8 @@ class ControllerPanel:
         self._fields: dict[str, LogField] = {}
         for key, label, low, high, zero, hint in FIELDS:
 
-            def changed(value: float, key: str = key) -> None:
-                self._edit(key, value)
+            def changed(value: float, key: str = key) -> bool:
+                return self._edit(key, value)
 
             self._fields[key] = LogField(gui, label, low, high, 1.0, changed, zero=zero, hint=hint)
         self._beside = Beside(gui)
@@ -53,11 +53,9 @@ class ControllerPanel:
             self._sampling = gui.add_dropdown(
                 "sampling", ("average", "point"), initial_value=session.config.sampling
             )
-            self._rate = gui.add_number(
-                "rate [Hz]", initial_value=1 / session.config.period, min=1.0, step=10.0
-            )
-            self._latency = gui.add_number(
-                "latency [samples]", initial_value=session.config.latency, min=0, step=1
+            self._rate = NumberField(gui, "rate [Hz]", _rate(session.config), self._at_rate, step=10.0)
+            self._latency = NumberField(
+                gui, "latency [samples]", session.config.latency, self._at_latency, step=1
             )
             self._beside_sampling = Beside(gui)
         with gui.add_folder("Take gains from", expand_by_default=False):
@@ -71,8 +69,6 @@ class ControllerPanel:
         by_hand(self._mode, self._switched)
         for handle, key in ((self._form, "form"), (self._sampling, "sampling")):
             by_hand(handle, lambda value, key=key: self._configure(key, value))  # type: ignore[misc]
-        by_hand(self._rate, lambda rate: self._configure("period", 1 / float(rate)))
-        by_hand(self._latency, lambda n: self._configure("latency", int(n)))
         self._preset.on_click(lambda event: self._use(event.target.value))
         self._take.on_click(lambda _: self._use(self._file.value.strip()))
         self.refresh()
@@ -94,13 +90,13 @@ class ControllerPanel:
         for key, field in self._fields.items():
             field.enable(hasattr(law, key))
             if hasattr(law, key):
-                field.show(getattr(law, key))
+                field.show(getattr(law, key), session.joint)
         mode = session.arm.mode(session.joint)[0]
         set_quietly(self._mode, next(label for label, name in MODES.items() if name == mode))
         set_quietly(self._form, session.config.form)
         set_quietly(self._sampling, session.config.sampling)
-        set_quietly(self._rate, float(f"{1 / session.config.period:.6g}"))
-        set_quietly(self._latency, session.config.latency)
+        self._rate.show(_rate(session.config))
+        self._latency.show(session.config.latency)
         self.judge()
 
     def judge(self) -> None:
@@ -121,15 +117,17 @@ class ControllerPanel:
         if self._plane.content != picture:
             self._plane.content = picture
 
-    def _edit(self, key: str, value: float) -> None:
+    def _edit(self, key: str, value: float) -> bool:
         begun = time.perf_counter()
         with self._beside.explained():
             self._page.session.edit("all" if self._joint.value == ALL else self.joint, **{key: value})
             self.judge()
         self.judged = time.perf_counter() - begun
+        return not self._beside.failed
 
     def _chosen(self, name: str) -> None:
         session = self._page.session
+        self._beside.say("")
         session.show(session.arm.controller.joints[-1] if name == ALL else name)
         self.refresh()
         self._page.redraw()
@@ -147,6 +145,18 @@ class ControllerPanel:
             self._page.session.configure(**{key: value})
         self.judge()
 
+    def _at_rate(self, rate: float) -> None:
+        if not rate >= 1:
+            self._beside_sampling.say(f"rate [Hz] = {rate:g}: must be at least 1 Hz")
+            return
+        self._configure("period", 1 / float(rate))
+
+    def _at_latency(self, samples: float) -> None:
+        if samples != int(samples):
+            self._beside_sampling.say(f"latency [samples] = {samples:g}: must be a whole number")
+            return
+        self._configure("latency", int(samples))
+
     def _use(self, source: str) -> None:
         session = self._page.session
         with self._beside_preset.explained():
@@ -162,3 +172,7 @@ class ControllerPanel:
         """Whether the joint on show is under the virtual passive law."""
         session = self._page.session
         return isinstance(session.config.joints[session.arm.controller.index(session.joint)], JointGains)
+
+
+def _rate(config: ControllerConfig) -> float:
+    return float(f"{1 / config.period:.6g}")  # [Hz], without the dust of the division

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from dashpot.studio import markup
 from dashpot.studio.choices import FAULTS, PanelFault
-from dashpot.studio.panels.shared import Beside, by_hand, set_quietly
+from dashpot.studio.panels.shared import Beside, Settled, by_hand, set_quietly
 
 if TYPE_CHECKING:
     from dashpot.studio.page import Page
@@ -46,7 +46,7 @@ class FaultPanel:
             self._switches.append((fault, switch, size))
             by_hand(switch, partial(self._switched, fault, size))
             if size is not None:
-                by_hand(size, partial(self._resized, fault, switch, size))
+                by_hand(size, Settled(partial(self._resized, fault, switch, size)))
         self._lose = gui.add_button("Lose the payload")
         self._heal = gui.add_button("Heal everything")
         self._beside = Beside(gui)

@@ -65,4 +65,4 @@ class RecordPanel:
 
     def _send(self, event: Any, name: str, make: Any) -> None:
         with self._beside.explained():
-            event.client.send_file_download(name, make())
+            event.client.send_file_download(name, make(), save_immediately=True)

@@ -1,4 +1,4 @@
-"""A headless Chromium for the tests of the studio: the system's, else the one playwright has installed."""
+"""A visitor to the studio: a headless Chromium with mouse and keyboard, for tests, pictures and the soak."""
 
 from __future__ import annotations
 
@@ -8,26 +8,40 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import pytest
+from dashpot.errors import DashpotError
 
+NAMES = ("chromium", "chromium-browser", "google-chrome")
 ARGUMENTS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 PATIENCE = 40.0  # [s]; the picture is drawn by the processor
 COARSE = "/?fixedDpr=0.25"  # fewer pixels to draw
 
 
+class NoBrowserError(DashpotError):
+    """There is no Chromium to look with."""
+
+
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """A browser; skips the test, and says why, where there is none."""
-    playwright = pytest.importorskip("playwright.sync_api")
-    with playwright.sync_playwright() as started:
-        path = shutil.which("chromium") or shutil.which("chromium-browser")
+    """The system's browser, else the one playwright has installed.
+
+    Raises:
+        NoBrowserError: There is neither, or no playwright.
+    """
+    help_ = "apt-get install chromium, or python -m playwright install chromium"
+    try:
+        from playwright.sync_api import Error, sync_playwright
+    except ImportError:
+        raise NoBrowserError("needs playwright and Chromium: pip install playwright; " + help_) from None
+    with sync_playwright() as started:
+        path = next(filter(None, map(shutil.which, NAMES)), None)
         try:
             browser = started.chromium.launch(executable_path=path, args=list(ARGUMENTS))
-        except playwright.Error as error:
-            first = str(error).strip().splitlines()[0]
-            pytest.skip(f"no Chromium: {first}; apt-get install chromium, or playwright install chromium")
-        yield browser
-        browser.close()
+        except Error as error:
+            raise NoBrowserError(f"no Chromium: {str(error).strip().splitlines()[0]}; {help_}") from None
+        try:
+            yield browser
+        finally:
+            browser.close()
 
 
 def until(true: Callable[[], Any], what: str, seconds: float = PATIENCE) -> Any:

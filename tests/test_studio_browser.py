@@ -68,7 +68,7 @@ def test_a_visit(visit, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     session.move(0.3)
     session.step(4.0)
     visitor.click("Faults", "[role=tab]")
-    visitor.click("Encoder lost", "label")
+    visitor.click("encoder lost", "label")
     until(lambda: session.faults, "the fault")
     session.step(2.0)
     assert session.arm.state == "torque_brake"

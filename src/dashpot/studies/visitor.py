@@ -107,3 +107,9 @@ class Visitor:
             return !!e && document.activeElement === e;
         }"""
         until(lambda: self.page.evaluate(script, [label, kind]), f"a field {label!r}")
+
+    def choose(self, label: str, entry: str) -> None:
+        """Chooses an entry of the list with this label."""
+        self.focus(label, "input")
+        self.page.keyboard.press("Enter")
+        self.click(entry, "[role=option]")

@@ -44,12 +44,12 @@ class Charts:
                     (empty, empty, empty, empty),
                     (
                         {},
-                        {"label": "supervisor", "stroke": ORANGE, "width": 2, "points": {"show": False}},
+                        {"label": "supervisor", "stroke": ORANGE, "width": 1, "points": {"show": False}},
                         {
                             "label": "beside it", "stroke": VERMILLION, "width": 1.5, "dash": (6, 4),
                             "points": {"show": False},
                         },
-                        {"label": "this", "stroke": BLUE, "width": 1.5, "points": {"show": False}},
+                        {"label": "this", "stroke": BLUE, "width": 2, "points": {"show": False}},
                     ),
                     **_options(),
                 )
@@ -123,7 +123,7 @@ def _options() -> dict[str, Any]:
     }
     return {
         "scales": {"x": {"time": False}, "y": {"auto": True}},
-        "axes": (axis, {**axis, "size": 46}),
+        "axes": (axis, {**axis, "size": 46, "space": 22}),
         "legend": {"show": False},
         "cursor": {"show": False},
         "height": HEIGHT,

@@ -93,23 +93,23 @@ class PanelFault:
         label: On its switch.
         kind: See `dashpot.faults.KINDS`.
         per_joint: Whether it is of the chosen joint; else of the whole arm.
-        unit: Of its value, or "": it takes none.
+        size: What its value is, with the unit in brackets, or "": it takes none.
         value: To begin with.
     """
 
     label: str
     kind: FaultKind
     per_joint: bool = True
-    unit: str = ""
+    size: str = ""
     value: float = 0.0
 
 
 FAULTS = (
-    PanelFault("Encoder lost", "encoder_lost"),
-    PanelFault("Encoder frozen", "encoder_frozen"),
-    PanelFault("Torque sensor reads too much", "torque_bias", unit="N m", value=4.0),
-    PanelFault("Torque sensor lost", "torque_nan"),
-    PanelFault("Samples dropped", "samples_dropped", unit="-", value=0.3),
-    PanelFault("Motor weak", "saturation", unit="-", value=0.3),
-    PanelFault("Mechanical brake closed", "mechanical_brake", per_joint=False),
+    PanelFault("encoder lost", "encoder_lost"),
+    PanelFault("encoder frozen", "encoder_frozen"),
+    PanelFault("torque bias", "torque_bias", size="bias [N m]", value=4.0),
+    PanelFault("torque lost", "torque_nan"),
+    PanelFault("samples dropped", "samples_dropped", size="share [-]", value=0.3),
+    PanelFault("motor weak", "saturation", size="limit left [-]", value=0.3),
+    PanelFault("brakes closed", "mechanical_brake", per_joint=False),
 )

@@ -22,7 +22,7 @@ STATE = {
     "track": ("tracking", BLUE),
     "torque_brake": ("torque brake", ORANGE),
     "encoder_brake": ("encoder brake", ORANGE),
-    "safe": ("safe, brake closed", VERMILLION),
+    "safe": ("safe", VERMILLION),
 }
 FONT = "font:12px/1.35 system-ui,sans-serif;color:#222"
 
@@ -60,7 +60,7 @@ def margins(rows: Sequence[Margin], chosen: str, modes: dict[str, str]) -> str:
             + ("opacity:.45;" if row.verdict == "checking" else "")
             + '"></div>'
         )
-        number = f"{row.index:.2g}" if np.isfinite(row.index) else "−∞"
+        number = _short(row.index)
         weight = "600" if row.joint == chosen else "400"
         mode = modes.get(row.joint, "")
         lines.append(
@@ -126,7 +126,7 @@ def plane(shown: Plane, joint: str, width: int = 330) -> str:
 
 
 def _map(shown: Plane, joint: str, width: int) -> str:
-    found, left, bottom, height = shown.found, 44, 34, 200
+    found, left, bottom, height = shown.found, 44, 30, 150
     if found is None:
         words = "no map: this law has no R and D" if np.isnan(shown.R) else "the map is being computed"
         return f'<div style="height:40px;color:#666;padding:8px 4px">{words}</div>'
@@ -145,13 +145,13 @@ def _map(shown: Plane, joint: str, width: int) -> str:
     image = np.where(found.index[..., None] >= 0, (1 - share) * [222, 235, 247] + share * [66, 146, 198], 233)
     hatched = ""
     rows, columns = found.coarse
-    if found.oscillates.any():
-        dx, dy = w / len(columns), h / len(rows)
-        for i, j in np.argwhere(found.oscillates):
-            cx, cy = x(found.R[columns[j]]), y(found.D[rows[i]])
-            hatched += (
-                f'<rect x="{cx - dx / 2:.1f}" y="{cy - dy / 2:.1f}" width="{dx:.1f}" height="{dy:.1f}"/>'
-            )
+    across, up = _edges(np.log10(found.R[columns])), _edges(np.log10(found.D[rows]))
+    for i, j in np.argwhere(found.oscillates):  # a cell reaches half way to its neighbours
+        left_, right = (float(np.clip(x(10**v), left, left + w)) for v in across[j : j + 2])
+        low, high = (float(np.clip(y(10**v), 8, 8 + h)) for v in up[i : i + 2])
+        hatched += (
+            f'<rect x="{left_:.1f}" y="{high:.1f}" width="{right - left_:.1f}" height="{low - high:.1f}"/>'
+        )
     px, py = min(max(x(shown.R), left), left + w), min(max(y(shown.D), 8), 8 + h)
     at = int(np.abs(np.log(found.D / shown.D)).argmin()), int(np.abs(np.log(found.R / shown.R)).argmin())
     inside = "certified" if found.index[at] >= 0 else "not certified"
@@ -178,18 +178,24 @@ def _map(shown: Plane, joint: str, width: int) -> str:
         f'<circle cx="{px:.1f}" cy="{py:.1f}" r="1.5"/>{ticks}'
         f'<text x="{left + w / 2:.0f}" y="{height - 6}" text-anchor="middle">R [-]</text>'
         f'<text transform="translate(11,{8 + h / 2:.0f}) rotate(-90)" text-anchor="middle">D [N m s/rad]</text></svg>'
-        '<div style="display:flex;gap:10px;color:#444;margin:0 0 6px 44px;flex-wrap:wrap">'
+        '<div style="display:flex;gap:9px;color:#444;margin:0 0 4px 12px;white-space:nowrap">'
         '<span><span style="display:inline-block;width:11px;height:11px;background:#6baed6"></span> certified</span>'
         '<span><span style="display:inline-block;width:11px;height:11px;background:#e9e9e9;border:1px solid #bbb">'
         "</span> not certified</span>"
         f'<span style="color:{VERMILLION}"><span style="display:inline-block;width:11px;height:11px;background:'
-        f'repeating-linear-gradient(45deg,{VERMILLION} 0 1.5px,#e9e9e9 1.5px 4px)"></span> an inertia oscillates</span>'
-        "<span>○ now</span></div>"
+        f'repeating-linear-gradient(45deg,{VERMILLION} 0 1.5px,#e9e9e9 1.5px 4px)"></span> oscillates</span>'
+        "<span>◉ now</span></div>"
     )
 
 
+def _edges(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Borders of the cells around ascending places, (k + 1,)."""
+    middle = (places[1:] + places[:-1]) / 2
+    return np.concatenate([[2 * places[0] - middle[0]], middle, [2 * places[-1] - middle[-1]]])
+
+
 def _window(shown: Plane, width: int) -> str:
-    left, bottom, height = 44, 32, 128
+    left, bottom, height = 44, 30, 100
     w, h = width - left - 8, height - bottom - 8
     ratio = shown.damping
     good = np.isfinite(ratio)
@@ -233,6 +239,13 @@ def _window(shown: Plane, width: int) -> str:
         f'<text transform="translate(11,{8 + h / 2:.0f}) rotate(-90)" text-anchor="middle">damping [-]</text></svg>'
         f'<div style="margin-left:44px;color:{VERMILLION if bad.any() else "#444"}">{words}</div>'
     )
+
+
+def _short(value: float) -> str:
+    """A number in few letters, -inf too."""
+    if not np.isfinite(value):
+        return "−∞"
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.2g}"
 
 
 def _ticks(low: float, high: float) -> list[float]:

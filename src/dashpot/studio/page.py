@@ -22,10 +22,10 @@ from dashpot.studio.panels.controller import ControllerPanel
 from dashpot.studio.panels.faults import FaultPanel
 from dashpot.studio.panels.guide import GuidePanel
 from dashpot.studio.panels.record import RecordPanel
-from dashpot.studio.panels.shared import STYLE
 from dashpot.studio.scene3d import ArmScene, ForceArrow, look_at, stage
 from dashpot.studio.server import close_server, open_server
 from dashpot.studio.session import Session
+from dashpot.studio.style import STYLE
 
 POSES, TEXT, CHARTS, FIELDS = 1 / 25, 1 / 5, 1 / 5, 1 / 2  # [s] between two updates
 SMALLEST_PULL = 0.02  # [m] that a hand has to move before a pull is meant

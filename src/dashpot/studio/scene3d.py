@@ -14,6 +14,7 @@ import viser
 from dashpot.sampled import Floats
 
 GHOST, GHOST_OPACITY = (213, 94, 0), 0.35  # the rival: vermillion, and transparent
+THINNER = 0.003  # [m] by which a ghost is thinner: where it stands in the arm, the arm hides it
 FORCE = (213, 94, 0)
 PER_NEWTON = 0.008  # [m/N] of a force's arrow
 STILL = 2e-5  # [m] and quaternion units that are not worth a message
@@ -49,7 +50,7 @@ class ArmScene:
                 self._remove(name)
             self._frames = []
             for body, name in enumerate(names):
-                shapes = body_shapes(model, body)
+                shapes = body_shapes(model, body, THINNER if self._ghost else 0.0)
                 stamp = hashlib.sha256(
                     b"".join(part.tobytes() for v, f, c in shapes for part in (v, f, np.array(c)))
                 ).hexdigest() + str(body)
@@ -171,12 +172,14 @@ def look_at(server: viser.ViserServer, model: Any) -> None:
     centre = np.array(model.stat.center)
     if not np.isfinite(centre).all() or size > 10:
         centre, size = np.array([0.2, 0.0, 0.4]), 1.0
-    server.initial_camera.position = tuple(centre + size * np.array([0.95, -1.15, 0.4]))
+    server.initial_camera.position = tuple(centre + size * np.array([0.8, -0.95, 0.33]))
     server.initial_camera.look_at = tuple(centre)
 
 
-def body_shapes(model: Any, body: int) -> list[tuple[Floats, Any, tuple[int, int, int]]]:
-    """Vertices, faces and colour of everything of one colour on a body, in the body's frame."""
+def body_shapes(
+    model: Any, body: int, thinner: float = 0.0
+) -> list[tuple[Floats, Any, tuple[int, int, int]]]:
+    """Vertices, faces and colour of everything of one colour on a body, in its frame; `thinner` in m."""
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     geoms = [g for g in range(first, first + count) if model.geom_group[g] < SHOWN_GROUPS] if count else []
     parts: dict[tuple[int, int, int], list[trimesh.Trimesh]] = {}
@@ -193,7 +196,10 @@ def body_shapes(model: Any, body: int) -> list[tuple[Floats, Any, tuple[int, int
     found: list[tuple[Floats, Any, tuple[int, int, int]]] = []
     for colour, meshes in parts.items():
         whole: Any = trimesh.util.concatenate(meshes) if len(meshes) > 1 else meshes[0]
-        found.append((np.array(whole.vertices, np.float64), np.array(whole.faces), colour))
+        vertices = np.array(whole.vertices, np.float64)
+        if thinner:
+            vertices -= thinner * np.asarray(whole.vertex_normals)
+        found.append((vertices, np.array(whole.faces), colour))
     return found
 
 

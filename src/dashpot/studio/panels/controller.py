@@ -38,7 +38,9 @@ class ControllerPanel:
             "joint", (*session.arm.controller.joints, ALL), initial_value=session.joint
         )
         self._margins = gui.add_html("")
-        self._mode = gui.add_dropdown("virtual passive control", tuple(MODES), initial_value="on")
+        self._mode = gui.add_dropdown(
+            "law", tuple(MODES), initial_value="on", hint="Virtual passive control of this joint"
+        )
         self._fields: dict[str, LogField] = {}
         for key, label, low, high, zero, hint in FIELDS:
 

@@ -23,7 +23,7 @@ class FaultPanel:
     def __init__(self, page: Page) -> None:
         gui, self._page = page.server.gui, page
         self._state = gui.add_html("")
-        self._supervised = gui.add_checkbox("supervisor in charge", initial_value=page.session.supervised)
+        self._supervised = gui.add_checkbox("supervisor", initial_value=page.session.supervised)
         self._stop = gui.add_button(
             "Stop", color="orange", hint="The operator's stop: brakes by the torque sensors"
         )
@@ -33,7 +33,7 @@ class FaultPanel:
             "joint", (*page.session.arm.controller.joints, ALL), initial_value=page.session.joint
         )
         self._loop = gui.add_checkbox(
-            "position loop connected",
+            "position loop",
             initial_value=True,
             hint="Off: the paper's Fig. 5, live; no encoder value is used",
         )
@@ -41,8 +41,8 @@ class FaultPanel:
         for fault in FAULTS:
             switch = gui.add_checkbox(fault.label, initial_value=False)
             size = None
-            if fault.unit:
-                size = gui.add_number(f"    by [{fault.unit}]", initial_value=fault.value, step=0.1)
+            if fault.size:
+                size = gui.add_number(fault.size, initial_value=fault.value, step=0.1)
             self._switches.append((fault, switch, size))
             by_hand(switch, partial(self._switched, fault, size))
             if size is not None:
@@ -80,7 +80,8 @@ class FaultPanel:
         word, colour = markup.STATE[session.arm.state] if session.supervised else ("off", markup.GREY)
         content = markup.block(
             f'<b>Supervisor</b>: <span style="color:{colour};font-weight:600">{word}</span>'
-            f'<div style="color:#666">{STATES}</div>'
+            f'<div style="color:#666">{STATES}</div>',
+            "2px 12px 8px",
         )
         if self._state.content != content:
             self._state.content = content

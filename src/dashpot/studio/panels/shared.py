@@ -17,11 +17,6 @@ from dashpot.studio.markup import trouble
 RECENT = 1.0  # [s] for which a field is in the user's hand after a change
 STEPS = 200  # of a log slider per range
 TYPING = 0.4  # [s] after the last key that a number counts as typed
-STYLE = """<style>
-.mantine-Slider-root + .mantine-InputWrapper-root, .mantine-Slider-root + .mantine-NumberInput-root
-{display:none} *:focus-visible {outline:2px solid #0072B2 !important; outline-offset:1px}
-</style>"""
-"""Sliders without viser's own number box, whose number would be a logarithm; and a focus that is seen."""
 
 
 class Beside:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import urlparse
 
@@ -13,6 +14,21 @@ import pytest
 from dashpot.studies.visitor import COARSE, NoBrowserError, Visitor, chromium, until
 
 pytest.importorskip("viser", reason="pip install 'dashpot[studio]'")
+
+
+# Time from a key to the map that shows it [ms], for every key.
+MOVES = """() => {
+    window.dpMoves = [];
+    const at = () => document.querySelector('#dp-now')?.getAttribute('cx');
+    let pressed = null, was = at();
+    document.addEventListener('keydown', () => { pressed = performance.now(); }, true);
+    new MutationObserver(() => {
+        if (at() === was) return;
+        was = at();
+        if (pressed !== null) window.dpMoves.push(performance.now() - pressed);
+        pressed = null;
+    }).observe(document.body, {subtree: true, childList: true, attributes: true, characterData: true});
+}"""
 
 
 @pytest.fixture(scope="module")
@@ -46,12 +62,20 @@ def test_a_visit(visit, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     visitor.page.keyboard.press("Control+a")
     visitor.page.keyboard.type("2.5")
     until(lambda: session.config.joints[-1].D == 2.5, "D = 2.5")
+    until(lambda: visitor.has("#dp-now"), "the map")
     visitor.focus("R [-]", "[role=slider]")
+    visitor.page.evaluate(MOVES)
     for _ in range(88):
         visitor.page.keyboard.press("ArrowLeft")
+        visitor.page.wait_for_timeout(120)  # the browser sends what comes faster as one
     until(lambda: session.config.joints[-1].R < 1.1, "a smaller R")
     until(lambda: session.certifier.margins()[-1].verdict == "certified", "the proof")
     until(lambda: visitor.has('tr[data-joint=joint7][data-verdict="certified"]'), "it on the page")
+    judged, seen = list(page.controller.judged), visitor.page.evaluate("window.dpMoves")
+    print(f"slider to margin: {1e3 * np.median(judged):.0f} ms, to the picture {np.median(seen):.0f} ms")
+    assert len(judged) >= 50
+    assert np.median(judged) < 0.05
+    assert visitor.page.evaluate("document.querySelector('#dp-map').dataset.inside") == "certified"
 
     # Bad input is explained beside the field and changes nothing.
     kept = session.config
@@ -89,13 +113,7 @@ def test_a_visit(visit, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     session.step(0.5)
     still = np.abs(session.snapshot().position - home).max()
     visitor.page.keyboard.down("Control")
-    middle = _on_arm(visitor, page)
-    visitor.page.mouse.move(*middle)
-    visitor.page.mouse.down()
-    for k in range(1, 8):
-        visitor.page.mouse.move(middle[0] + 15 * k, middle[1])
-        visitor.page.wait_for_timeout(60)
-    until(lambda: session.arm.push is not None, "the hand")
+    _grasp(visitor, page)
     begun = session.snapshot().position
     session.step(0.5)
     push = session.snapshot().push
@@ -146,12 +164,28 @@ def test_a_visit(visit, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     until(lambda: not session.running, "standing still")
 
 
-def _on_arm(visitor: Visitor, page: object) -> tuple[float, float]:
-    """A pixel at which the forearm is, from the camera the page begins with."""
+def _grasp(visitor: Visitor, page: object) -> None:
+    """Takes hold of the arm with the mouse and pulls, as far out as the mouse meets it."""
     session = page.session  # type: ignore[attr-defined]
+    for body in ("link6", "link5", "link4"):
+        middle = _pixel(visitor, page, session.bodies()[0][0][session.arm.model.body(body).id])
+        visitor.page.mouse.move(*middle)
+        visitor.page.wait_for_timeout(200)
+        visitor.page.mouse.down()
+        for k in range(1, 8):
+            visitor.page.mouse.move(middle[0], middle[1] - 15 * k)
+            visitor.page.wait_for_timeout(60)
+        with suppress(AssertionError):
+            until(lambda: session.arm.push is not None, "the hand", 5.0)
+            return
+        visitor.page.mouse.up()
+    raise AssertionError("the mouse meets no link")
+
+
+def _pixel(visitor: Visitor, page: object, point: np.ndarray) -> tuple[float, float]:
+    """Where a point of the world [m] is seen, from the camera the page begins with."""
     camera = page.server.initial_camera  # type: ignore[attr-defined]
     eye, target = np.array(camera.position), np.array(camera.look_at)
-    point = session.bodies()[0][0][session.arm.model.body("link5").id]
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)

@@ -82,18 +82,19 @@ class _Closed(BaseException):
 
 
 def _prove(drive: Drive, law: Law, config: ControllerConfig) -> JointCertificate:
-    _be_nice()
+    be_nice()
     return certify_joint(drive, law, config)
 
 
 def _map(drive: Drive, law: JointGains, config: ControllerConfig) -> IndexMap:
     from dashpot.commands.certify_plots import gain_map
 
-    _be_nice()
+    be_nice()
     return gain_map(drive, law, config, POINTS, tried=TRIED)
 
 
-def _be_nice() -> None:
+def be_nice() -> None:
+    """Gives way to the arm, which must keep real time."""
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, NICE)
 

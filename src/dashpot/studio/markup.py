@@ -9,11 +9,14 @@ import base64
 import html
 import struct
 import zlib
+from collections import OrderedDict
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dashpot.certify.map import IndexMap
+from dashpot.sampled import Floats
 from dashpot.studio.margins import Margin, Plane
 
 BLUE, VERMILLION, GREEN, GREY, ORANGE = "#0072B2", "#D55E00", "#009E73", "#7A7A7A", "#B87500"
@@ -125,59 +128,31 @@ def plane(shown: Plane, joint: str, width: int = 330) -> str:
     return block(_map(shown, joint, width) + _window(shown, width), "0 8px")
 
 
+LEFT, BOTTOM, HEIGHT = 44, 30, 150  # [px] of the map
+_backdrops: OrderedDict[tuple[int, int], tuple[IndexMap, str]] = OrderedDict()  # of the last maps drawn
+
+
 def _map(shown: Plane, joint: str, width: int) -> str:
-    found, left, bottom, height = shown.found, 44, 30, 150
+    found = shown.found
     if found is None:
         words = "no map: this law has no R and D" if np.isnan(shown.R) else "the map is being computed"
         return f'<div style="height:40px;color:#666;padding:8px 4px">{words}</div>'
-    w, h = width - left - 8, height - bottom - 8
-    x0, x1 = np.log10(found.R[[0, -1]])
-    y0, y1 = np.log10(found.D[[0, -1]])
-
-    def x(R: float) -> float:
-        return float(left + w * (np.log10(R) - x0) / (x1 - x0))
-
-    def y(D: float) -> float:
-        return float(8 + h * (1 - (np.log10(D) - y0) / (y1 - y0)))
-
-    top = max(float(found.index.max()), 1e-9)
-    share = np.clip(found.index / top, 0, 1)[..., None]
-    image = np.where(found.index[..., None] >= 0, (1 - share) * [222, 235, 247] + share * [66, 146, 198], 233)
-    hatched = ""
-    rows, columns = found.coarse
-    across, up = _edges(np.log10(found.R[columns])), _edges(np.log10(found.D[rows]))
-    for i, j in np.argwhere(found.oscillates):  # a cell reaches half way to its neighbours
-        left_, right = (float(np.clip(x(10**v), left, left + w)) for v in across[j : j + 2])
-        low, high = (float(np.clip(y(10**v), 8, 8 + h)) for v in up[i : i + 2])
-        hatched += (
-            f'<rect x="{left_:.1f}" y="{high:.1f}" width="{right - left_:.1f}" height="{low - high:.1f}"/>'
-        )
-    px, py = min(max(x(shown.R), left), left + w), min(max(y(shown.D), 8), 8 + h)
+    w, h = width - LEFT - 8, HEIGHT - BOTTOM - 8
+    px, py = (float(part[0]) for part in _places(found, np.array([shown.R]), np.array([shown.D]), w, h))
+    px, py = min(max(px, LEFT), LEFT + w), min(max(py, 8), 8 + h)
     at = int(np.abs(np.log(found.D / shown.D)).argmin()), int(np.abs(np.log(found.R / shown.R)).argmin())
     inside = "certified" if found.index[at] >= 0 else "not certified"
-    ticks = "".join(
-        f'<text x="{x(v):.0f}" y="{height - bottom + 13}" text-anchor="middle">{v:g}</text>'
-        f'<line x1="{x(v):.0f}" x2="{x(v):.0f}" y1="{8 + h}" y2="{8 + h + 3}" stroke="#444"/>'
-        for v in _ticks(found.R[0], found.R[-1])
-    ) + "".join(
-        f'<text x="{left - 5}" y="{y(v) + 4:.0f}" text-anchor="end">{v:g}</text>'
-        f'<line x1="{left - 3}" x2="{left}" y1="{y(v):.0f}" y2="{y(v):.0f}" stroke="#444"/>'
-        for v in _ticks(found.D[0], found.D[-1])
-    )
+    key = id(found), width
+    if key not in _backdrops:  # the same while a slider moves
+        _backdrops[key] = found, _backdrop(found, w, h)
+        while len(_backdrops) > 8:
+            _backdrops.popitem(last=False)
     return (
-        f'<svg id="dp-map" data-inside="{inside}" width="{width}" height="{height}" role="img" '
+        f'<svg id="dp-map" data-inside="{inside}" width="{width}" height="{HEIGHT}" role="img" '
         f'aria-label="{escaped(joint)}: map of R and D, the point is {inside}" font-size="11" fill="#222">'
-        '<defs><pattern id="dp-hatch" width="6" height="6" patternUnits="userSpaceOnUse" '
-        f'patternTransform="rotate(45)"><line x1="0" y1="0" x2="0" y2="6" stroke="{VERMILLION}" stroke-width="1.4"/>'
-        "</pattern></defs>"
-        f'<image x="{left}" y="8" width="{w}" height="{h}" preserveAspectRatio="none" '
-        f'style="image-rendering:pixelated" href="{_png(image[::-1].astype(np.uint8))}"/>'
-        f'<g fill="url(#dp-hatch)">{hatched}</g>'
-        f'<rect x="{left}" y="8" width="{w}" height="{h}" fill="none" stroke="#999"/>'
-        f'<circle cx="{px:.1f}" cy="{py:.1f}" r="6" fill="#fff" stroke="#000" stroke-width="2"/>'
-        f'<circle cx="{px:.1f}" cy="{py:.1f}" r="1.5"/>{ticks}'
-        f'<text x="{left + w / 2:.0f}" y="{height - 6}" text-anchor="middle">R [-]</text>'
-        f'<text transform="translate(11,{8 + h / 2:.0f}) rotate(-90)" text-anchor="middle">D [N m s/rad]</text></svg>'
+        f"{_backdrops[key][1]}"
+        f'<circle id="dp-now" cx="{px:.1f}" cy="{py:.1f}" r="6" fill="#fff" stroke="#000" stroke-width="2"/>'
+        f'<circle cx="{px:.1f}" cy="{py:.1f}" r="1.5"/></svg>'
         '<div style="display:flex;gap:9px;color:#444;margin:0 0 4px 12px;white-space:nowrap">'
         '<span><span style="display:inline-block;width:11px;height:11px;background:#6baed6"></span> certified</span>'
         '<span><span style="display:inline-block;width:11px;height:11px;background:#e9e9e9;border:1px solid #bbb">'
@@ -188,8 +163,54 @@ def _map(shown: Plane, joint: str, width: int) -> str:
     )
 
 
-def _edges(places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Borders of the cells around ascending places, (k + 1,)."""
+def _places(found: IndexMap, R: Floats, D: Floats, w: int, h: int) -> tuple[Floats, Floats]:
+    """Pixels of gains in a map of w by h."""
+    x0, x1 = np.log10(found.R[[0, -1]])
+    y0, y1 = np.log10(found.D[[0, -1]])
+    return LEFT + w * (np.log10(R) - x0) / (x1 - x0), 8 + h * (1 - (np.log10(D) - y0) / (y1 - y0))
+
+
+def _backdrop(found: IndexMap, w: int, h: int) -> str:
+    """The map without the point: shades of the margin, hatching where loads oscillate, and axes."""
+    top = max(float(found.index.max()), 1e-9)
+    share = np.clip(found.index / top, 0, 1)[..., None]
+    image = np.where(found.index[..., None] >= 0, (1 - share) * [222, 235, 247] + share * [66, 146, 198], 233)
+    rows, columns = found.coarse
+    x, y = _places(found, found.R[columns], found.D[rows], w, h)
+    x, y = np.clip(_edges(x), LEFT, LEFT + w), np.clip(_edges(y), 8, 8 + h)
+    hatched = "".join(  # a cell reaches half way to its neighbours
+        f"M{x[j]:.1f},{y[i]:.1f}H{x[j + 1]:.1f}V{y[i + 1]:.1f}H{x[j]:.1f}Z"
+        for i, j in np.argwhere(found.oscillates)
+    )
+    R, D = _ticks(found.R[0], found.R[-1]), _ticks(found.D[0], found.D[-1])
+    across, up = (
+        _places(found, np.array(R), found.D[:1], w, h)[0],
+        _places(found, found.R[:1], np.array(D), w, h)[1],
+    )
+    ticks = "".join(
+        f'<text x="{at:.0f}" y="{HEIGHT - BOTTOM + 13}" text-anchor="middle">{v:g}</text>'
+        f'<line x1="{at:.0f}" x2="{at:.0f}" y1="{8 + h}" y2="{8 + h + 3}" stroke="#444"/>'
+        for at, v in zip(across, R, strict=True)
+    ) + "".join(
+        f'<text x="{LEFT - 5}" y="{at + 4:.0f}" text-anchor="end">{v:g}</text>'
+        f'<line x1="{LEFT - 3}" x2="{LEFT}" y1="{at:.0f}" y2="{at:.0f}" stroke="#444"/>'
+        for at, v in zip(up, D, strict=True)
+    )
+    return (
+        '<defs><pattern id="dp-hatch" width="6" height="6" patternUnits="userSpaceOnUse" '
+        f'patternTransform="rotate(45)"><line x1="0" y1="0" x2="0" y2="6" stroke="{VERMILLION}" stroke-width="1.4"/>'
+        "</pattern></defs>"
+        f'<image x="{LEFT}" y="8" width="{w}" height="{h}" preserveAspectRatio="none" '
+        f'style="image-rendering:pixelated" href="{_png(image[::-1].astype(np.uint8))}"/>'
+        f'<path d="{hatched}" fill="url(#dp-hatch)"/>'
+        f'<rect x="{LEFT}" y="8" width="{w}" height="{h}" fill="none" stroke="#999"/>{ticks}'
+        f'<text x="{LEFT + w / 2:.0f}" y="{HEIGHT - 6}" text-anchor="middle">R [-]</text>'
+        f'<text transform="translate(11,{8 + h / 2:.0f}) rotate(-90)" text-anchor="middle">D [N m s/rad]</text>'
+    )
+
+
+def _edges(places: Floats) -> Floats:
+    """Borders of the cells around places in order, (k + 1,)."""
     middle = (places[1:] + places[:-1]) / 2
     return np.concatenate([[2 * places[0] - middle[0]], middle, [2 * places[-1] - middle[-1]]])
 

@@ -98,6 +98,7 @@ class Page:
     def close(self) -> None:
         """Ends the server; the session goes on."""
         self._closed.set()
+        self.controller.design.designer.end()
         self._thread.join(5)
         close_server(self.server)
 

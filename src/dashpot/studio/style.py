@@ -16,8 +16,8 @@ STYLE = """<style>
 .mantine-Checkbox-root {--checkbox-color: #0072B2 !important}
 .mantine-Slider-thumb {background: #0072B2 !important}
 .mantine-Slider-markLabel {color: #444; font-size: 10px !important}
-.mantine-Slider-root + .mantine-InputWrapper-root, .mantine-Slider-root + .mantine-NumberInput-root
-  {display: none}
+.mantine-Slider-root:has([aria-label=""]) + .mantine-NumberInput-root,
+.mantine-Slider-thumb[aria-label=""] .mantine-Slider-label {display: none !important}
 *:focus-visible {outline: 2px solid #0072B2 !important; outline-offset: 1px}
 </style>"""
-"""Sliders come without viser's own number box, whose number would be a logarithm."""
+"""Log sliders, the ones without a name of their own, come without numbers: those would be logarithms."""

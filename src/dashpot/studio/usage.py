@@ -1,4 +1,4 @@
-"""What the studio costs: processor time and memory of this process and its children."""
+"""What the studio costs: processor time and memory of this process."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from dashpot.payload import Payload
 from dashpot.robot import BUNDLED
 from dashpot.studio.markup import block
 from dashpot.studio.panels.shared import Beside, NumberField, Settled, by_hand, set_quietly
-from dashpot.studio.session import HEAVIEST, POUND
+from dashpot.studio.told import HEAVIEST, POUND
 
 if TYPE_CHECKING:
     from dashpot.studio.page import Page

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from typing import TYPE_CHECKING
 
 from dashpot.controller import BUNDLED, ControllerConfig, JointGains, load_controller
 from dashpot.errors import DashpotError
 from dashpot.studio import markup
+from dashpot.studio.panels.design import DesignFolder
 from dashpot.studio.panels.shared import Beside, LogField, NumberField, by_hand, set_quietly
 
 if TYPE_CHECKING:
@@ -28,11 +30,13 @@ class ControllerPanel:
     """See the module.
 
     Attributes:
-        judged: Time the last slider move took until its margin was there [s].
+        design: Asks the designer.
+        judged: What the last moves of a slider took until their margins were there [s], newest last.
     """
 
     def __init__(self, page: Page) -> None:
-        gui, self._page, self.judged = page.server.gui, page, 0.0
+        gui, self._page = page.server.gui, page
+        self.judged: deque[float] = deque(maxlen=200)
         session = page.session
         self._joint = gui.add_dropdown(
             "joint", (*session.arm.controller.joints, ALL), initial_value=session.joint
@@ -60,6 +64,7 @@ class ControllerPanel:
                 gui, "latency [samples]", session.config.latency, self._at_latency, step=1
             )
             self._beside_sampling = Beside(gui)
+        self.design = DesignFolder(page, self._names)
         with gui.add_folder("Take gains from", expand_by_default=False):
             self._preset = gui.add_button_group("bundled", BUNDLED)
             self._file = gui.add_text(
@@ -124,7 +129,7 @@ class ControllerPanel:
         with self._beside.explained():
             self._page.session.edit("all" if self._joint.value == ALL else self.joint, **{key: value})
             self.judge()
-        self.judged = time.perf_counter() - begun
+        self.judged.append(time.perf_counter() - begun)
         return not self._beside.failed
 
     def _chosen(self, name: str) -> None:
@@ -136,11 +141,13 @@ class ControllerPanel:
 
     def _switched(self, label: str) -> None:
         session = self._page.session
-        names = session.arm.controller.joints if self._joint.value == ALL else (self.joint,)
         with self._beside.explained():
-            for name in names:
+            for name in self._names():
                 session.set_mode(name, MODES[label])  # type: ignore[arg-type]
         self.refresh()
+
+    def _names(self) -> tuple[str, ...]:
+        return self._page.session.arm.controller.joints if self._joint.value == ALL else (self.joint,)
 
     def _configure(self, key: str, value: object) -> None:
         with self._beside_sampling.explained():

@@ -28,7 +28,10 @@ class RecordPanel:
         self._controller = gui.add_button("Controller as TOML")
         self._recording = gui.add_button("Recording (.npz), as dashpot simulate writes it")
         self._format = gui.add_dropdown(
-            "log as", FORMATS, initial_value=FORMATS[0], hint="As dashpot identify reads it"
+            "log as",
+            FORMATS,
+            initial_value=FORMATS[0],
+            hint="As dashpot identify reads it; csv with its --sampling",
         )
         self._log = gui.add_button("Log")
         self._beside = Beside(gui)

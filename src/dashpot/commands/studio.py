@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import threading
 import time
@@ -40,6 +41,7 @@ def studio(options: Studio) -> int:
         supervise=options.supervise,
         seed=options.seed,
     )
+    _collect_often()
     console = Console()
     try:
         console.print(
@@ -67,6 +69,16 @@ def _check(options: Studio) -> None:
         raise InputError("must be 0 to 65535", quantity="--port", value=options.port)
     if options.run_for is not None and not (math.isfinite(options.run_for) and options.run_for > 0):
         raise InputError("must be positive", quantity="--run-for [s]", value=options.run_for)
+
+
+def _collect_often() -> None:
+    """Has full collections look at what came after the start only, so that they come often.
+
+    Python puts them off until a quarter of all objects is new: for hours, and viser's messages leave cycles.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.collect()
 
 
 def _watch(page: object, seconds: float, console: Console) -> None:

@@ -52,7 +52,7 @@ def soak(robot: str, controller: str, seconds: float, rival: str) -> dict[str, A
     Raises:
         DashpotError: There is no browser, or the studio did not start.
     """
-    command = ["studio", robot, controller, "--port", "8380", "--run-for", str(seconds + 15)]
+    command = ["studio", robot, controller, "--port", "8380", "--run-for", str(seconds + 120)]
     start = "from dashpot.cli import main; main()"
     with (
         chromium() as browser,
@@ -111,6 +111,7 @@ def _summary(
         "growth_MB_per_min": round(growth, 3),
         "factor": {"mean": round(float(np.mean(factors)), 3), "least": min(factors)} if factors else None,
         "cores": os.cpu_count(),
+        "load": os.getloadavg()[2],
         "rows_s_share_MB": [[round(float(x), 3) for x in row] for row in rows],
     }
     found["kept"] = bool(

@@ -16,8 +16,9 @@ STYLE = """<style>
 .mantine-Checkbox-root {--checkbox-color: #0072B2 !important}
 .mantine-Slider-thumb {background: #0072B2 !important}
 .mantine-Slider-markLabel {color: #444; font-size: 10px !important}
-.mantine-Slider-root:has([aria-label=""]) + .mantine-NumberInput-root,
-.mantine-Slider-thumb[aria-label=""] .mantine-Slider-label {display: none !important}
+.mantine-Slider-root:has(.mantine-Slider-markWrapper:nth-child(3)) + .mantine-NumberInput-root,
+.mantine-Slider-root:has(.mantine-Slider-markWrapper:nth-child(3)) .mantine-Slider-label
+  {display: none !important}
 *:focus-visible {outline: 2px solid #0072B2 !important; outline-offset: 1px}
 </style>"""
-"""Log sliders, the ones without a name of their own, come without numbers: those would be logarithms."""
+"""Log sliders, the ones with more than two marks, come without numbers: those would be logarithms."""

@@ -58,7 +58,9 @@ class ArmPanel:
             )
             self._move = gui.add_button("Move about home")
             self._hold = gui.add_button("Hold")
-            gui.add_html(block("<b>Push</b>: Ctrl (or ⌘) and drag a link. Or tap the chosen joint:"))
+            gui.add_html(
+                block("<b>Push</b>: Ctrl (or ⌘) and drag a link. Or tap the chosen joint:", "4px 12px")
+            )
             self._tap = gui.add_button_group(f"tap {TAP:g} N m", ("−", "+"))
             self._beside_motion = Beside(gui)
         self._pick.on_click(self._picked)

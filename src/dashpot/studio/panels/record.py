@@ -22,7 +22,7 @@ class RecordPanel:
         gui.add_html(block("The last minute is always remembered, at every tick.", "4px 12px"))
         self._pause = gui.add_button_group("time", ("run", "pause", "one tick"))
         self._seconds = gui.add_slider(
-            "replay of the last [s]", min=1.0, max=60.0, step=1.0, initial_value=10.0
+            "replay [s]", min=1.0, max=60.0, step=1.0, initial_value=10.0, hint="So much of the last minute"
         )
         self._replay = gui.add_button("3D replay as one HTML file", hint="Opens offline, in any browser")
         self._controller = gui.add_button("Controller as TOML")

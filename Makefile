@@ -8,7 +8,7 @@ FOLDERS := $(shell find src -type d -not -name __pycache__)
 
 .PHONY: demo test lint bench clean \
         evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms \
-        evidence-readiness evidence-export evidence-franka
+        evidence-readiness evidence-export evidence-franka evidence-studio
 
 demo: $(VENV)/.installed
 	$(BIN)/dashpot reproduce --out out/paper
@@ -74,6 +74,11 @@ evidence-franka: $(VENV)/.installed
 	$(BIN)/python -m dashpot.studies.franka > docs/evidence/franka.json.part
 	mv docs/evidence/franka.json.part docs/evidence/franka.json
 
+# Ten minutes: the studio with a page open in a headless Chromium, its processor time and memory.
+evidence-studio: $(VENV)/.test
+	$(BIN)/python -m dashpot.studies.studio_soak > docs/evidence/studio.json.part
+	mv docs/evidence/studio.json.part docs/evidence/studio.json
+
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "dashpot needs Python 3.11 or newer; try: make PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
@@ -84,6 +89,9 @@ $(VENV)/.installed: $(NATIVE) $(FOLDERS) | $(VENV)/bin/python
 
 $(VENV)/.test: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	@command -v chromium > /dev/null || command -v chromium-browser > /dev/null || command -v google-chrome > /dev/null || \
+	  PLAYWRIGHT_DOWNLOAD_CONNECTION_TIMEOUT=10000 $(BIN)/python -m playwright install chromium > /dev/null 2>&1 || \
+	  echo "No Chromium here, and none to be had: the test of the studio in a browser will be skipped; install chromium."
 	touch $@
 
 $(VENV)/.bench: $(VENV)/.installed
@@ -106,4 +114,6 @@ figures: demo
 	$(BIN)/dashpot simulate fr3 fr3 --payload 2 --supervise --payload-at 1=4 --fault encoder_frozen:joint4@3 --duration 4 --log out/run.mcap
 	$(BIN)/dashpot plot out/run.mcap --joint joint4
 	cp out/plot/joint4.png docs/images/log.png
+	$(MAKE) $(VENV)/.test
+	$(BIN)/python -m dashpot.studies.studio_pictures --only scene controller faults
 .PHONY: figures

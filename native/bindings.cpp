@@ -43,7 +43,7 @@ double *optional(nb::object o, size_t size, const char *name) {
 nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t model, uintptr_t data, Vector qpos,
               Vector qvel, Vector qfrc_applied, double dt, int steps_per_tick, int ticks, nb::object reference,
               nb::object external, nb::object record, nb::object status, Faults *faults, int first, int last,
-              Guard *guard, Link *link, Gravity *gravity) {
+              Guard *guard, Link *link, Gravity *gravity, int origin) {
     if (drives.size() == 0 || drives.size() % sizeof(dp_drive) || events.size() % sizeof(dp_event))
         throw std::invalid_argument("drive or event records have the wrong size");
     dp_run_args a{};
@@ -61,8 +61,10 @@ nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t 
     a.drive = reinterpret_cast<dp_drive *>(drives.data());
     a.event = reinterpret_cast<const dp_event *>(events.data());
     a.first = first;
-    a.last = last < 0 ? ticks : last;
-    if (a.drives > DP_MAX_JOINTS || ticks < 0 || steps_per_tick < 1 || first < 0 || a.last > ticks)
+    a.origin = origin;
+    a.last = last < 0 ? origin + ticks : last;
+    if (a.drives > DP_MAX_JOINTS || ticks < 0 || steps_per_tick < 1 || origin < 0 || first < origin ||
+        static_cast<long>(a.last) > static_cast<long>(origin) + ticks)
         throw std::invalid_argument("too many drives, or a bad number of ticks or steps");
     if (faults && faults->f.drives != a.drives)
         throw std::invalid_argument("the faults are those of another number of drives");
@@ -288,6 +290,15 @@ NB_MODULE(_native, m) {
              nb::arg("script"), nb::arg("drives"), nb::arg("brake_delay"))
         .def_prop_rw("apply_brake", [](const Faults &s) { return s.f.apply_brake != 0; },
                      [](Faults &s, bool on) { s.f.apply_brake = on; })
+        .def_prop_rw("stopped_at", [](const Faults &s) { return s.f.stopped_at; },
+                     [](Faults &s, int tick) { s.f.stopped_at = tick; })
+        .def("put",
+             [](Faults &s, int i, Bytes fault) {
+                 if (fault.size() != sizeof(dp_fault) ||
+                     dp_faults_put(&s.f, i, reinterpret_cast<const dp_fault *>(fault.data())) != 0)
+                     throw std::invalid_argument("the place or the fault is out of range");
+             },
+             nb::arg("place"), nb::arg("fault"))
         .def_prop_ro("ages", [](const Faults &s) {
             nb::list ages;
             for (int j = 0; j < s.f.drives; j++)
@@ -333,8 +344,8 @@ NB_MODULE(_native, m) {
           nb::arg("data"), nb::arg("qpos").noconvert(), nb::arg("qvel").noconvert(), nb::arg("qfrc_applied").noconvert(), nb::arg("dt"),
           nb::arg("steps_per_tick"), nb::arg("ticks"), nb::arg("reference").none(), nb::arg("external").none(),
           nb::arg("record").none(), nb::arg("status").none(), nb::arg("faults").none() = nb::none(), nb::arg("first") = 0,
-          nb::arg("last") = -1, nb::arg("guard").none() = nb::none(),
-          nb::arg("link").none() = nb::none(), nb::arg("gravity").none() = nb::none());
+          nb::arg("last") = -1, nb::arg("guard").none() = nb::none(), nb::arg("link").none() = nb::none(),
+          nb::arg("gravity").none() = nb::none(), nb::arg("origin") = 0);
 
     m.def("stops", &stops, nb::arg("blocks"), nb::arg("slip").noconvert(), nb::arg("stick").noconvert(), nb::arg("start"),
           nb::arg("sample"), nb::arg("rotor"), nb::arg("held"), nb::arg("link"), nb::arg("spring"), nb::arg("slips"),

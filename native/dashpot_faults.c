@@ -40,6 +40,15 @@ int dp_faults_init(dp_faults *f, const dp_fault *fault, int faults, const dp_fau
     return 0;
 }
 
+int dp_faults_put(dp_faults *f, int i, const dp_fault *fault)
+{
+    if (i < 0 || i > f->faults || i >= DP_MAX_FAULTS || !valid(fault, f->drives))
+        return -1;
+    f->fault[i] = *fault;
+    f->faults += i == f->faults;
+    return 0;
+}
+
 void dp_faults_begin(dp_faults *f, const dp_drive *drive)
 {
     f->stopped_at = -1;

@@ -91,6 +91,10 @@ typedef struct dp_faults {
 int dp_faults_init(dp_faults *f, const dp_fault *fault, int faults, const dp_fault_drive *of, int drives,
                    double brake_delay);
 
+/* Puts a fault into a place of the script of a run that goes on, a new one (i = f->faults) or one there is: what it
+ * remembers begins afresh. Returns 0, or -1 where the place or the fault is not valid. */
+int dp_faults_put(dp_faults *f, int i, const dp_fault *fault);
+
 /* Called by dp_run before its first tick: forgets, and takes the drives as healthy. */
 void dp_faults_begin(dp_faults *f, const dp_drive *drive);
 

@@ -128,12 +128,12 @@ static double sample(dp_drive *d, int steps)
 
 static void record(const dp_run_args *a, int tick, int j, int field, double value)
 {
-    a->record[((long)field * a->ticks + tick) * a->drives + j] = value;
+    a->record[((long)field * a->ticks + tick - a->origin) * a->drives + j] = value;
 }
 
 static const double *row(const double *table, const dp_run_args *a, int field, int tick, int j)
 {
-    return &table[((long)field * a->ticks + tick) * a->drives + j];
+    return &table[((long)field * a->ticks + tick - a->origin) * a->drives + j];
 }
 
 /* What is sensed of drive j at a tick, faults included; recorded in row `at`. */
@@ -182,7 +182,7 @@ static void carry(dp_run_args *a, int tick, int n, double *in)
         const double told = a->faults && i >= 0 ? dp_faults_gravity(a->faults, j, tick, gravity[j]) : gravity[j];
         a->drive[j].gravity = gravity[j];
         if (a->record)
-            a->record[((long)DP_REC_SAMPLE * a->ticks + tick) * a->drives + j] -= told;
+            a->record[((long)DP_REC_SAMPLE * a->ticks + tick - a->origin) * a->drives + j] -= told;
         if (i >= 0 && a->supervisor_gravity) /* it checks the sensor as it is, and takes the rest off itself */
             a->supervisor_gravity[i] = told;
         else if (i >= 0)
@@ -221,7 +221,7 @@ static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in,
         int status = a->supervise ? a->supervise(a->supervisor, c, in, torque_age, encoder_age, out)
                                   : dp_step(c, in, out);
         if (a->status)
-            a->status[tick] = status;
+            a->status[tick - a->origin] = status;
         if (f && a->apply_brake)
             f->apply_brake = *a->apply_brake;
         if (f && a->state && *a->state != 0 && f->stopped_at < 0)
@@ -283,7 +283,11 @@ static int advance(const dp_run_args *a, int tick)
             double reference[2] = {0.0, 0.0};
             if (a->drive[j].control < 0 && a->reference) {
                 const int held = a->faults && a->faults->stopped_at >= 0;
-                reference[0] = *row(a->reference, a, 0, held ? a->faults->stopped_at : tick, j);
+                /* Where the tables do not reach back to it, their first row repeats it. */
+                const int when = held && a->faults->stopped_at < a->origin ? a->origin
+                                 : held                                    ? a->faults->stopped_at
+                                                                           : tick;
+                reference[0] = *row(a->reference, a, 0, when, j);
                 reference[1] = held ? 0.0 : *row(a->reference, a, 1, tick, j);
             }
             actuate(&a->drive[j], a, a->reference ? reference : 0, k * a->dt,

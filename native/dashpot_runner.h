@@ -89,7 +89,8 @@ typedef struct {
     double *qfrc_applied;
     double dt;          /* physics step [s] */
     int steps_per_tick;
-    int ticks;          /* of the whole run: rows of the tables below */
+    int ticks;          /* rows of the tables below: of the whole run, or of a window of it */
+    int origin;         /* tick of their first row; 0 unless the run goes on for as long as somebody watches */
     int first, last;    /* ticks to run now: first <= tick < last; a run may be cut anywhere */
     int drives;
     int events;
@@ -121,6 +122,7 @@ typedef struct {
  * 1e4 rad/s, or not finite; records stop there and diverged_tick is set). At tick 0 the engine's qpos and
  * qvel are the initial state, rng seeds in drive[].rng must be set, and the drives' states are cleared. A
  * later first goes on from the states that an earlier call has left, with the same bits as in one call; the
+ * tables may hold a window of the run only (origin <= first, last <= origin + ticks). The
  * engine's model may be another one with the same degrees of freedom, the time step may not. */
 int dp_run(dp_controller *c, dp_run_args *a);
 

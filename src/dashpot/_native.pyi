@@ -34,10 +34,12 @@ class Core:
 
 class Faults:
     apply_brake: bool
+    stopped_at: int
     ages: list[tuple[int, int]]
     def __init__(
         self, script: NDArray[np.uint8], drives: NDArray[np.float64], brake_delay: float
     ) -> None: ...
+    def put(self, place: int, fault: NDArray[np.uint8]) -> None: ...
 
 def take(list: list[float], to: NDArray[np.float64]) -> None: ...
 def take_difference(list: list[float], less: list[float], to: NDArray[np.float64]) -> None: ...
@@ -133,6 +135,7 @@ def run(
     guard: Guard | None = None,
     link: Link | None = None,
     gravity: Gravity | None = None,
+    origin: int = 0,
 ) -> tuple[int, int]: ...
 def stops(
     blocks: NDArray[np.uint8],

@@ -685,6 +685,41 @@ class FrankaServer:
         return franka_server(self)
 
 
+@dataclass
+class Studio:
+    """Open the studio: a live arm in the browser, its controller, its certificate and its faults.
+
+    Needs pip install 'dashpot[studio]'. Works offline.
+    """
+
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")] = "k807"
+    """Robot TOML, or k807, fr3, iiwa14."""
+    controller: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CONTROLLER")] = "k807-wrist"
+    """Controller TOML, or k807-wrist, k807-resonant, fr3, iiwa14."""
+    payload: Annotated[float, tyro.conf.arg(metavar="KG")] = 0.0
+    """Mass on the flange to begin with [kg]."""
+    offset: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X [Y Z]")] = (0.0,)
+    """Its centre in the flange frame [m]: one number along x, or three."""
+    supervise: bool = True
+    """Whether the supervisor is in charge to begin with."""
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Address to listen at; others than this machine's own let others use the studio."""
+    port: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 8080
+    """Port; where it is taken, the next free one."""
+    seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """Seed of sensor noise and motions."""
+    run_for: Annotated[
+        float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: until Ctrl-C)")
+    ] = None
+    """End after this time [s], and print every 10 s what it costs."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from dashpot.commands.studio import studio
+
+        return studio(self)
+
+
 Command = (
     Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Certify, tyro.conf.subcommand("certify")]
@@ -700,6 +735,7 @@ Command = (
     | Annotated[Campaign, tyro.conf.subcommand("campaign")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Studio, tyro.conf.subcommand("studio")]
 )
 
 

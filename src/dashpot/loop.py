@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 EVENT_DTYPE = np.dtype([("tick", "i4"), ("joint", "i4"), ("kind", "i4"), ("value", "i4")])
 BEYOND = 0.1  # [rad] past the stops, which yield
+Tables = tuple[Floats, Floats | None, Floats, NDArray[np.int32]]
+"""Reference, (4, ticks, n); external torque, (ticks, n); record, (channels, ticks, n); status, (ticks,)."""
 _KINDS = {"mode": 0, "position_loop": 1, "warm_start": 2}
 
 
@@ -323,7 +325,18 @@ class Loop:
             self._advance(min(until, self._models[0][0]) if self._models else until)
 
     def _advance(self, until: int) -> None:
-        plant, data = self._plant, self._data
+        tables = (self._reference, self._external, self._record, self._status)
+        self._run(until, tables, 0)
+
+    def _run(self, until: int, tables: Tables, origin: int) -> None:
+        """Runs up to a tick.
+
+        Args:
+            until: Exclusive.
+            tables: Reference, external torque, record and status.
+            origin: Tick of their first row.
+        """
+        plant, data, (reference, external, record, status) = self._plant, self._data, tables
         outcome, tick = _native.run(
             self.core,
             self._drives.view(np.uint8),
@@ -336,17 +349,18 @@ class Loop:
             data.qfrc_applied,
             plant.timestep,
             round(self.scenario.trajectory.period / plant.timestep),
-            self.ticks,
-            self._reference,
-            self._external,
-            self._record,
-            self._status,
+            reference.shape[1],
+            reference,
+            external,
+            record,
+            status,
             self.faults,
             self.tick,
             until,
             self.guard,
             self._link,
             None if self._gravity is None else self._gravity.native,
+            origin,
         )
         self.tick = until
         if outcome:

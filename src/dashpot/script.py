@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 import dashpot._native as _native
 from dashpot.errors import InputError
@@ -88,16 +89,12 @@ def native_faults(
     """
     if FAULT_DTYPE.itemsize != _native.FAULT_SIZE:
         raise RuntimeError("the native library was built from another version; reinstall dashpot")
-    rows = [row for fault in faults for row in _rows(fault, plant, controlled, clock)]
+    rows = [row for fault in faults for row in fault_rows(fault, plant, controlled, clock)]
     if len(rows) > _native.MAX_FAULTS:
         raise InputError(
             f"at most {_native.MAX_FAULTS}, counting each joint", quantity="faults", value=len(rows)
         )
-    records = np.zeros(len(rows), FAULT_DTYPE)
-    for record, row in zip(records, rows, strict=True):
-        for name, value in zip(("kind", "drive", "first", "last", "value", "damping"), row, strict=True):
-            record[name] = value
-    records["rng"] = np.random.SeedSequence(seed, spawn_key=(STREAM,)).generate_state(len(rows), np.uint64)
+    records = fault_records(rows, seed)
     inertia = plant.model.dof_armature[plant.rotor_dof]
     drives = np.array(
         [
@@ -108,9 +105,23 @@ def native_faults(
     return _native.Faults(records.view(np.uint8), drives, BRAKE_DELAY)
 
 
-def _rows(
-    fault: Fault, plant: Plant, controlled: Sequence[str], clock: Clock
-) -> list[tuple[int, int, int, int, float, float]]:
+FaultRow = tuple[int, int, int, int, float, float]
+"""Kind, drive, first and last tick, value and damping of one fault on one joint."""
+
+
+def fault_records(rows: Sequence[FaultRow], seed: int, before: int = 0) -> NDArray[np.void]:
+    """Records of `FAULT_DTYPE`; those that continue a script have their streams after `before` others."""
+    records = np.zeros(len(rows), FAULT_DTYPE)
+    for record, row in zip(records, rows, strict=True):
+        for name, value in zip(("kind", "drive", "first", "last", "value", "damping"), row, strict=True):
+            record[name] = value
+    streams = np.random.SeedSequence(seed, spawn_key=(STREAM,))
+    records["rng"] = streams.generate_state(before + len(rows), np.uint64)[before:]
+    return records
+
+
+def fault_rows(fault: Fault, plant: Plant, controlled: Sequence[str], clock: Clock) -> list[FaultRow]:
+    """What a fault does to every joint it reaches; arguments and errors as of `native_faults`."""
     kind, robot = KINDS[fault.kind], plant.robot
     joint = None if fault.joint == "all" else fault.joint
     if joint is not None:

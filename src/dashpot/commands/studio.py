@@ -1,0 +1,96 @@
+"""``dashpot studio``."""
+
+from __future__ import annotations
+
+import gc
+import math
+import threading
+import time
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from dashpot.engine import quiet_engine
+from dashpot.errors import DashpotError, InputError
+from dashpot.payload import Payload
+
+if TYPE_CHECKING:
+    from dashpot.cli import Studio
+
+EVERY = 10.0  # [s] between two lines of the soak
+
+
+def studio(options: Studio) -> int:
+    """``dashpot studio``; runs until Ctrl-C, or for the time that was asked for."""
+    _check(options)
+    try:
+        import viser  # noqa: F401
+    except ImportError:
+        raise DashpotError("the studio needs viser: pip install 'dashpot[studio]'") from None
+    from dashpot.studio.page import open_page
+
+    quiet_engine()
+    x = options.offset
+    payload = Payload(options.payload, x[0] if len(x) == 1 else (x[0], x[1], x[2]))
+    page = open_page(
+        options.robot,
+        options.controller,
+        payload,
+        host=options.host,
+        port=options.port,
+        supervise=options.supervise,
+        seed=options.seed,
+    )
+    _collect_often()
+    console = Console()
+    try:
+        console.print(
+            f"studio of {options.robot} under {options.controller}: open {page.url}", highlight=False
+        )
+        if options.host not in ("127.0.0.1", "localhost", "::1"):
+            console.print(
+                f"[yellow]{options.host}: whoever reaches this address can use it[/]", highlight=False
+            )
+        console.print("time stands still while no page is open; Ctrl-C ends", style="dim")
+        if options.run_for is None:
+            threading.Event().wait()
+        else:
+            _watch(page, options.run_for, console)
+    finally:
+        page.close()
+        page.session.close()
+    return 0
+
+
+def _check(options: Studio) -> None:
+    if len(options.offset) not in (1, 3):
+        raise InputError("must be one number or three", quantity="--offset [m]", value=options.offset)
+    if not 0 <= options.port <= 65535:
+        raise InputError("must be 0 to 65535", quantity="--port", value=options.port)
+    if options.run_for is not None and not (math.isfinite(options.run_for) and options.run_for > 0):
+        raise InputError("must be positive", quantity="--run-for [s]", value=options.run_for)
+
+
+def _collect_often() -> None:
+    """Has full collections look at what came after the start only, so that they come often.
+
+    Python puts them off until a quarter of all objects is new: for hours, and viser's messages leave cycles.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.collect()
+
+
+def _watch(page: object, seconds: float, console: Console) -> None:
+    """Says every few seconds what it costs."""
+    from dashpot.studio.page import Page
+    from dashpot.studio.usage import Usage
+
+    assert isinstance(page, Page)
+    usage, end = Usage(), time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0:
+        time.sleep(min(EVERY, left))
+        now = page.session.snapshot()
+        console.print(
+            f"{now.time:8.1f} s simulated, {usage.line()}, real time x {now.factor:.2f}", highlight=False
+        )

@@ -1,0 +1,1 @@
+"""The panels of the page, one file each: they translate between fields and the session."""

@@ -1,0 +1,116 @@
+"""Which arm, what it carries, and where it goes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from dashpot.controller import BUNDLED as CONTROLLERS
+from dashpot.payload import Payload
+from dashpot.robot import BUNDLED
+from dashpot.studio.markup import block
+from dashpot.studio.panels.shared import Beside, NumberField, Settled, by_hand, set_quietly
+from dashpot.studio.told import HEAVIEST, POUND
+
+if TYPE_CHECKING:
+    from dashpot.studio.page import Page
+
+DEFAULTS = {"k807": "k807-wrist", "fr3": "fr3", "iiwa14": "iiwa14"}
+TAP = 5.0  # [N m]
+
+
+class ArmPanel:
+    """See the module."""
+
+    def __init__(self, page: Page) -> None:
+        gui, self._page = page.server.gui, page
+        session = page.session
+        with gui.add_folder("Arm and controller"):
+            self._robot: Any = gui.add_text(
+                "robot", initial_value=page.robot_name, hint="k807, fr3, iiwa14 or a robot TOML"
+            )
+            self._controller: Any = gui.add_text(
+                "controller",
+                initial_value=page.controller_name,
+                hint=f"{', '.join(CONTROLLERS)} or a controller TOML",
+            )
+            self._pick = gui.add_button_group("bundled", BUNDLED)
+            self._load = gui.add_button("Load")
+            self._beside = Beside(gui)
+        with gui.add_folder("Payload"):
+            self._mass = gui.add_slider(
+                "mass [kg]", min=0.0, max=HEAVIEST / 2, step=0.05, initial_value=session.payload.mass
+            )
+            self._pounds = NumberField(
+                gui, "mass [lb]", _pounds(session.payload.mass), lambda lb: self._weigh(lb * POUND), step=0.5
+            )
+            self._offset: Any = gui.add_vector3(
+                "offset [m]",
+                initial_value=tuple(session.payload.position),
+                step=0.01,
+                hint="Centre, in the flange frame",
+            )
+            self._shown = tuple(float(part) for part in session.payload.position)
+            self._beside_load = Beside(gui)
+        with gui.add_folder("Motion"):
+            self._pose = gui.add_button_group("go to", tuple(session.poses))
+            self._amplitude = gui.add_slider(
+                "amplitude [rad]", min=0.05, max=0.6, step=0.05, initial_value=0.3
+            )
+            self._move = gui.add_button("Move about home")
+            self._hold = gui.add_button("Hold")
+            gui.add_html(
+                block("<b>Push</b>: Ctrl (or ⌘) and drag a link. Or tap the chosen joint:", "4px 12px")
+            )
+            self._tap = gui.add_button_group(f"tap {TAP:g} N m", ("−", "+"))
+            self._beside_motion = Beside(gui)
+        self._pick.on_click(self._picked)
+        self._load.on_click(lambda _: self._loaded())
+        by_hand(self._mass, lambda kg: self._weigh(float(kg)))
+        by_hand(self._offset, Settled(lambda _: self._weigh(page.session.payload.mass)))
+        self._pose.on_click(lambda _: self._do(lambda: page.session.go(self._pose.value)))
+        self._move.on_click(lambda _: self._do(lambda: page.session.move(float(self._amplitude.value))))
+        self._hold.on_click(lambda _: self._do(page.session.hold))
+        self._tap.on_click(lambda _: self._tapped())
+
+    def refresh(self) -> None:
+        """Shows what is."""
+        session = self._page.session
+        mass = session.payload.mass
+        if abs(float(self._mass.value) - mass) > 0.026:
+            set_quietly(self._mass, min(round(mass, 2), HEAVIEST / 2))
+        self._pounds.show(_pounds(mass))
+        offset = tuple(float(part) for part in session.payload.position)
+        if offset != self._shown:  # else what is typed, and may have been refused, stays
+            self._offset.value = self._shown = offset
+        if tuple(self._pose.options) != tuple(session.poses):
+            self._pose.options = tuple(session.poses)
+
+    def name(self) -> None:
+        """Shows the names of what was loaded elsewhere."""
+        set_quietly(self._robot, self._page.robot_name)
+        set_quietly(self._controller, self._page.controller_name)
+
+    def _picked(self, event: Any) -> None:
+        name = event.target.value
+        self._robot.value, self._controller.value = name, DEFAULTS[name]
+        self._loaded()
+
+    def _loaded(self) -> None:
+        with self._beside.explained():
+            self._page.load(self._robot.value.strip(), self._controller.value.strip(), Payload(0.0))
+
+    def _weigh(self, mass: float) -> None:
+        with self._beside_load.explained():
+            self._page.session.set_payload(mass, tuple(float(part) for part in self._offset.value))  # type: ignore[arg-type]
+
+    def _do(self, act: Any) -> None:
+        with self._beside_motion.explained():
+            act()
+
+    def _tapped(self) -> None:
+        sign = 1.0 if self._tap.value == "+" else -1.0
+        self._do(lambda: self._page.session.tap(self._page.session.joint, sign * TAP))
+
+
+def _pounds(mass: float) -> float:
+    return round(mass / POUND, 2)

@@ -1,0 +1,204 @@
+"""The studio in a real browser: every step asserted on the simulation behind the page."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from urllib.parse import urlparse
+
+import numpy as np
+import pytest
+
+from dashpot.studies.visitor import COARSE, NoBrowserError, Visitor, chromium, until
+
+pytest.importorskip("viser", reason="pip install 'dashpot[studio]'")
+
+
+# Time from a key to the map that shows it [ms], for every key.
+MOVES = """() => {
+    window.dpMoves = [];
+    const at = () => document.querySelector('#dp-now')?.getAttribute('cx');
+    let pressed = null, was = at();
+    document.addEventListener('keydown', () => { pressed = performance.now(); }, true);
+    new MutationObserver(() => {
+        if (at() === was) return;
+        was = at();
+        if (pressed !== null) window.dpMoves.push(performance.now() - pressed);
+        pressed = null;
+    }).observe(document.body, {subtree: true, childList: true, attributes: true, characterData: true});
+}"""
+
+
+@pytest.fixture(scope="module")
+def visit() -> Iterator[tuple[Visitor, object, object]]:
+    from dashpot.studio.page import open_page
+
+    page = open_page("k807", "k807-wrist", None, host="127.0.0.1", port=8360, supervise=True, seed=0)
+    page.wakes = False  # the tests run it by hand: nothing is drawn while nobody needs it
+    try:
+        with chromium() as browser:
+            yield Visitor(browser, page.url + COARSE), page, browser
+    except NoBrowserError as missing:
+        pytest.skip(str(missing))
+    finally:
+        page.close()
+        page.session.close()
+
+
+def test_a_visit(visit, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """Load, slider, certificate, fault, push, guided scene, replay, a second tab: as a newcomer would."""
+    visitor, page, browser = visit
+    session = page.session
+    until(lambda: visitor.has("#dp-state"), "the page")
+    session.step(0.2)
+
+    # The certificate turns as R goes down, by keyboard; the proof follows the guess.
+    visitor.click("Controller", "[role=tab]")
+    until(lambda: visitor.has("tr[data-joint=joint7]"), "the margins")
+    assert session.certifier.margins()[-1].verdict == "not certified"
+    visitor.focus("D [N m s/rad]", "input")
+    visitor.page.keyboard.press("Control+a")
+    visitor.page.keyboard.type("2.5")
+    until(lambda: session.config.joints[-1].D == 2.5, "D = 2.5")
+    until(lambda: visitor.has("#dp-now"), "the map")
+    visitor.focus("R [-]", "[role=slider]")
+    visitor.page.evaluate(MOVES)
+    for _ in range(88):
+        visitor.page.keyboard.press("ArrowLeft")
+        visitor.page.wait_for_timeout(120)  # the browser sends what comes faster as one
+    until(lambda: session.config.joints[-1].R < 1.1, "a smaller R")
+    until(lambda: session.certifier.margins()[-1].verdict == "certified", "the proof")
+    until(lambda: visitor.has('tr[data-joint=joint7][data-verdict="certified"]'), "it on the page")
+    judged, seen = list(page.controller.judged), visitor.page.evaluate("window.dpMoves")
+    print(f"slider to margin: {1e3 * np.median(judged):.0f} ms, to the picture {np.median(seen):.0f} ms")
+    assert len(judged) >= 50
+    assert np.median(judged) < 0.05
+    assert visitor.page.evaluate("document.querySelector('#dp-map').dataset.inside") == "certified"
+
+    # Bad input is explained beside the field and changes nothing.
+    kept = session.config
+    visitor.focus("R [-]", "input")
+    visitor.page.keyboard.press("Control+a")
+    visitor.page.keyboard.type("-3")
+    until(lambda: "R [-] = -3" in visitor.text(".dp-trouble"), "the explanation")
+    assert session.config == kept
+    time.sleep(0.7)  # the page has shown all fields anew: what was typed is still there to be mended
+    assert visitor.page.evaluate("document.activeElement.value") == "-3"
+
+    # The encoder is lost: the arm brakes.
+    session.restart()
+    session.move(0.3)
+    session.step(4.0)
+    visitor.click("Faults", "[role=tab]")
+    visitor.click("encoder lost", "label")
+    until(lambda: session.faults, "the fault")
+    session.step(2.0)
+    assert session.arm.state == "torque_brake"
+    assert np.abs(session.snapshot().velocity).max() < 0.05
+    until(
+        lambda: visitor.page.evaluate("document.querySelector('#dp-state').dataset.state") == "torque_brake",
+        "it",
+    )
+    visitor.click("Heal everything", "button")
+    until(lambda: not session.faults, "healing")
+    visitor.click("Resume tracking", "button")
+    until(lambda: session.arm.state == "track", "tracking")
+
+    # A link is pushed with the mouse.
+    session.restart()
+    session.step(0.2)
+    home = session.snapshot().position
+    session.step(0.5)
+    still = np.abs(session.snapshot().position - home).max()
+    visitor.page.keyboard.down("Control")
+    _grasp(visitor, page)
+    begun = session.snapshot().position
+    session.step(0.5)
+    push = session.snapshot().push
+    assert push is not None
+    assert np.linalg.norm(push[0]) > 3.0
+    assert np.abs(session.snapshot().position - begun).max() > max(1e-4, 10 * still)  # its drives hold it
+    visitor.page.mouse.up()
+    visitor.page.keyboard.up("Control")
+    until(lambda: session.arm.push is None, "letting go")
+
+    # A guided scene.
+    visitor.click("Guide", "[role=tab]")
+    visitor.click("2 · Braking without an encoder (Fig. 5)", "button")
+    until(lambda: session.rival_name == "law bypassed", "the scene")
+    session.pause()
+    session.step(6.0 - session.time)
+    j = session.robot.index("joint7")
+    mine, other = (session.past(rival=rival).channel("link_position")[:, j] for rival in (False, True))
+    assert abs(np.degrees(mine[-1] - mine[int(3.3 / 0.005)])) < 3.0
+    assert np.degrees(other[-1] - other[int(3.0 / 0.005)]) > 60.0
+
+    # The replay, opened from a file without a server.
+    visitor.click("Record", "[role=tab]")
+    with visitor.page.expect_download() as download:
+        visitor.click("3D replay as one HTML file", "button")
+    file = tmp_path / "replay.html"
+    download.value.save_as(file)
+    offline = browser.new_context(offline=True)
+    film = offline.new_page()
+    film.goto(file.as_uri(), wait_until="commit")
+    until(lambda: film.evaluate("!!document.querySelector('canvas')"), "the replay")
+    offline.close()
+
+    # Nothing left the machine, and nothing broke.
+    hosts = {urlparse(url).hostname for url in visitor.requests if not url.startswith(("blob:", "data:"))}
+    assert hosts <= {"127.0.0.1"}
+    assert visitor.errors == []
+
+    # A second tab comes and goes; the last one leaves, and time stands still.
+    page.wakes = True
+    second = Visitor(browser, page.url + COARSE, 640, 480)
+    until(lambda: second.has("#dp-state"), "the second tab")
+    session.start()
+    second.page.close()
+    until(lambda: page.visitors == 1, "one visitor")
+    assert session.running
+    visitor.page.close()
+    until(lambda: not session.running, "standing still")
+
+
+def _grasp(visitor: Visitor, page: object) -> None:
+    """Takes hold of the arm with the mouse and pulls, as far out as the mouse meets it."""
+    session = page.session  # type: ignore[attr-defined]
+    for body in ("link6", "link5", "link4"):
+        middle = _pixel(visitor, page, session.bodies()[0][0][session.arm.model.body(body).id])
+        visitor.page.mouse.move(*middle)
+        visitor.page.wait_for_timeout(200)
+        visitor.page.mouse.down()
+        for k in range(1, 8):
+            visitor.page.mouse.move(middle[0], middle[1] - 15 * k)
+            visitor.page.wait_for_timeout(60)
+        with suppress(AssertionError):
+            until(lambda: session.arm.push is not None, "the hand", 5.0)
+            return
+        visitor.page.mouse.up()
+    raise AssertionError("the mouse meets no link")
+
+
+def _pixel(visitor: Visitor, page: object, point: np.ndarray) -> tuple[float, float]:
+    """Where a point of the world [m] is seen, from the camera the page begins with."""
+    camera = page.server.initial_camera  # type: ignore[attr-defined]
+    eye, target = np.array(camera.position), np.array(camera.look_at)
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    seen = point - eye
+    canvases = visitor.page.evaluate(
+        "() => [...document.querySelectorAll('canvas')].map(c => { const b = c.getBoundingClientRect();"
+        " return [b.x, b.y, b.width, b.height]; })"
+    )
+    box = max(canvases, key=lambda b: b[2] * b[3])
+    scale = box[3] / 2 / np.tan(float(camera.fov) / 2)
+    depth = seen @ forward
+    return (
+        float(box[0] + box[2] / 2 + scale * (seen @ right) / depth),
+        float(box[1] + box[3] / 2 - scale * (seen @ up) / depth),
+    )

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import select
+import signal
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +20,7 @@ from test_cli import dashpot  # noqa: F401 - a fixture
 from dashpot.certify.certificate import certify_arm
 from dashpot.certify.digest import JUDGED, digest
 from dashpot.controller import Controller, load_controller
-from dashpot.errors import InputError
+from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.checks import Heard, Verdicts, at_rest, before_link, listen
 from dashpot.hardware.interface import Hardware, Sample
 from dashpot.hardware.realtime import undisturbed
@@ -366,7 +368,13 @@ def test_what_is_not_certified_does_not_run(dashpot):  # noqa: F811
         (("--duration", "1e9"), "must be at most 600 s"),
         (("--motion", "nowhere.csv"), 'must be "hold" or a CSV file'),
         (("--log", "run.csv"), "--log = 'run.csv': must end in .mcap"),
-        (("--samples", "1"), "--samples = 1: must be at least 10"),
+        (("--samples", "1"), "--samples = 1: must be 10 to 100000"),
+        (("--samples", "100000000"), "--samples = 100000000: must be 10 to 100000"),
+        (("--cpu", "-3"), "--cpu = -3: must not be negative"),
+        (("--seed", "-1"), "--seed = -1: must not be negative"),
+        (("--host", "1.2.3.4"), "--host = '1.2.3.4': is for a robot"),
+        (("--record", "arm.csv"), "--record = 'arm.csv': must end in .npz"),
+        (("--record", "nowhere/arm.npz"), "--record = 'nowhere/arm.npz': is in no folder"),
         (("--priority", "100"), "--priority = 100: must be 0 (none) to 99"),
         (("--certificate", "none.json"), "--certificate: is not looked at with --uncertified"),
         (("--fault", "encoder_lost:joint9@1", "--lock-step"), "joint9"),
@@ -434,6 +442,45 @@ def test_on_a_terminal_it_keeps_a_line_that_is_gone_at_the_end():
     os.close(ours)
     out, _ = process.communicate(timeout=60)
     assert b"track" in seen, out.decode()
-    assert b" of " in seen
+    assert b"late " in seen
     assert seen.rstrip().endswith(b"\x1b[2K")  # the line is taken back
     assert b"cycles of 5 ms" in out
+
+
+def child_of(parent: int, named: bytes) -> int:
+    for entry in Path("/proc").iterdir():
+        with suppress(OSError):  # it has ended meanwhile
+            if entry.name.isdigit() and named in (entry / "cmdline").read_bytes():
+                status = (entry / "stat").read_text()
+                if int(status.rpartition(")")[2].split()[1]) == parent:
+                    return int(entry.name)
+    raise AssertionError(f"no process {named!r}")
+
+
+def test_a_log_that_was_cut_off_is_said(tmp_path):
+    """The run goes on without its log, and ends as a run does; its exit status tells."""
+    log = tmp_path / "run.mcap"
+    command = [sys.executable, "-m", "dashpot.cli", "run", "k807", "k807-wrist", "--uncertified"]
+    means = ("--samples", "10", "--duration", "4", "--log", str(log))
+    process = subprocess.Popen([*command, *means], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    end = time.monotonic() + 60
+    while not (log.exists() and log.stat().st_size) and time.monotonic() < end:
+        time.sleep(0.02)
+    os.kill(child_of(process.pid, b"dashpot.hardware.scribe"), signal.SIGKILL)
+    out, _ = process.communicate(timeout=120)
+    assert process.returncode == 1
+    assert "its writer was ended (status -9); the log is cut off" in " ".join(out.split())
+    assert "mechanical brakes closed" in " ".join(out.split())
+
+
+def test_a_recording_that_cannot_be_written_is_said(tmp_path):
+    path = hold(ROBOT.home, 0.2, CONFIG.period)
+    scenario = Scenario(
+        build(ROBOT, CONFIG.period), Controller.from_config(CONFIG, ROBOT.drives), path, seed=1
+    )
+    record = tmp_path / "arm.npz"
+    record.mkdir()
+    arm = SimHardware(scenario, LinkSettings(realtime=False, record=record))
+    arm.start()
+    with pytest.raises(DashpotError, match="recording is lost"):
+        arm.stop()

@@ -142,7 +142,7 @@ class Run:
             metavar="SECONDS", help_behavior_hint="(default: the whole file; until Ctrl-C, 10 with sim)"
         ),
     ] = None
-    """Of the run [s]."""
+    """Of the motion, after 1 s at rest, or of the hold [s]; the stop comes on top."""
     payload: Annotated[float, tyro.conf.arg(metavar="KG")] = 0.0
     """Mass on the flange [kg]: sensor bias is what its weight and the arm's do not explain."""
     offset: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X [Y Z]")] = (0.0,)
@@ -745,11 +745,11 @@ def _show_warning(message: Warning | str, category: type[Warning], *_: object, *
 
 
 class _Terminated(KeyboardInterrupt):
-    """SIGTERM or SIGHUP."""
+    """SIGTERM or SIGHUP: its number."""
 
 
-def _terminate(*_: object) -> None:
-    raise _Terminated
+def _terminate(number: int, _: object) -> None:
+    raise _Terminated(number)
 
 
 @contextmanager
@@ -771,7 +771,7 @@ def _tidy_stop() -> Iterator[None]:
 def main(arguments: list[str] | None = None) -> None:
     """Entry point; exits 0 on success, 1 where a verdict is no or the simulation diverges, 2 on bad input.
 
-    Ctrl-C exits 130, SIGTERM 143.
+    Ctrl-C exits 130, SIGTERM 143, SIGHUP 129.
     """
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a terminal without a character shows "?" for it
@@ -799,7 +799,7 @@ def main(arguments: list[str] | None = None) -> None:
             status = _fail("out of memory; ask for a shorter motion or fewer threads")
         except KeyboardInterrupt as stop:
             print("dashpot: stopped", file=sys.stderr)
-            status = 143 if isinstance(stop, _Terminated) else 130
+            status = 128 + stop.args[0] if isinstance(stop, _Terminated) else 130
             _leave_if_running(status)
     sys.exit(status)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 
 SIMULATED = 10.0  # [s] that a simulated arm is held where nobody says
 LONGEST = 600.0  # [s] of a simulated run: its whole motion is in memory
+MOST_SAMPLES = 100_000
 LEAD_IN = 1.0  # [s] at rest before a motion
 SPARE = 1.0  # [s] that a simulated arm can go on for, besides a stop
 
@@ -131,7 +133,7 @@ def run(options: Run) -> int:
     show_outcome(outcome, job.controller, options)
     if outcome.end == "stopped":
         return 128 + (outcome.signal or signal.SIGINT)
-    return 0 if outcome.end == "done" else 1
+    return 0 if outcome.end == "done" and not outcome.problems else 1
 
 
 def _load(job: Job, plant: Plant, hardware: Hardware, where: Floats) -> Floats:
@@ -189,8 +191,15 @@ def _run(options: Run, job: Job, hardware: Hardware, start: Start | None) -> Out
     means: dict[str, Any] = {"duration": duration, "start": start, "settings": settings}
     if ring is None:
         return control(hardware, job.supervisor, motion, **means)
-    with scribe(ring, notes):
-        return control(hardware, job.supervisor, motion, **means, ring=ring.memory)
+    outcome: Outcome | None = None
+    try:
+        with scribe(ring, notes):
+            outcome = control(hardware, job.supervisor, motion, **means, ring=ring.memory)
+    except DashpotError as error:  # of the log; how the run ended is worth more
+        if outcome is None:
+            raise
+        outcome = replace(outcome, problems=(*outcome.problems, str(error)))
+    return outcome
 
 
 def _check(options: Run) -> None:
@@ -203,18 +212,29 @@ def _check(options: Run) -> None:
     ):
         if given and not simulated:
             raise InputError("is for --via sim: a robot is as it is", quantity=key)
+    if options.host and simulated:
+        raise InputError("is for a robot; --via says which", quantity="--host", value=options.host)
     if options.duration is not None and not (math.isfinite(options.duration) and options.duration > 0):
         raise InputError("must be positive", quantity="--duration [s]", value=options.duration)
     if options.certificate is not None and options.uncertified:
         raise InputError("is not looked at with --uncertified; leave one out", quantity="--certificate")
-    if options.samples < 10:
-        raise InputError("must be at least 10", quantity="--samples", value=options.samples)
+    if not 10 <= options.samples <= MOST_SAMPLES:
+        raise InputError(f"must be 10 to {MOST_SAMPLES}", quantity="--samples", value=options.samples)
+    if options.cpu is not None and options.cpu < 0:
+        raise InputError("must not be negative", quantity="--cpu", value=options.cpu)
+    if options.seed < 0:
+        raise InputError("must not be negative", quantity="--seed", value=options.seed)
     if not 0 <= options.priority <= 99:
         raise InputError("must be 0 (none) to 99", quantity="--priority", value=options.priority)
-    if options.log is not None and options.log.suffix.lower() != ".mcap":
-        raise InputError("must end in .mcap", quantity="--log", value=str(options.log))
-    if options.log is not None and options.log.is_dir():
-        raise InputError("is a folder", quantity="--log", value=str(options.log))
+    for key, file, suffix in (("--log", options.log, ".mcap"), ("--record", options.record, ".npz")):
+        if file is None:
+            continue
+        if file.suffix.lower() != suffix:
+            raise InputError(f"must end in {suffix}", quantity=key, value=str(file))
+        if file.is_dir():
+            raise InputError("is a folder", quantity=key, value=str(file))
+        if not os.access(file.parent, os.W_OK):
+            raise InputError("is in no folder that can be written", quantity=key, value=str(file))
 
 
 def _prepare(options: Run) -> Job:

@@ -131,5 +131,5 @@ def show_outcome(outcome: Outcome, controller: Controller, options: Run) -> None
     console.print(f"{ENDS[outcome.end]}{reason}{rest}", highlight=False, soft_wrap=True)
     for problem in outcome.problems:
         console.print(f"[red]while stopping[/]: {escape(problem)}", highlight=False, soft_wrap=True)
-    if options.log is not None:
+    if options.log is not None and options.log.exists():
         console.print(f"log: {escape(str(options.log))}", highlight=False, soft_wrap=True)

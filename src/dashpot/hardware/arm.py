@@ -57,7 +57,10 @@ def run(file: int, scenario: Scenario, settings: LinkSettings) -> None:
         recording = motion.recording()
         recording.settings["watchdog_at"] = link.tripped_at
         recording.settings["stopped"] = link.stopped
-        recording.save(settings.record)
+        try:
+            recording.save(settings.record)
+        except OSError as error:
+            raise SystemExit(f"dashpot: {settings.record}: cannot be written: {error.strerror}") from None
 
 
 def main() -> None:

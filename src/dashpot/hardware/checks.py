@@ -301,6 +301,7 @@ def _clock(heard: Heard, period: float, settings: SupervisorSettings, realtime: 
         return [Check("robot's clock", "", "stands", "goes on", False)]
     typical = float(np.median(new))
     lost = int(np.round(new / period - 1).clip(0).sum())
+    most = max(1, int(LOST * len(heard.time)))
     checks = [
         Check(
             "robot's cycle",
@@ -313,8 +314,8 @@ def _clock(heard: Heard, period: float, settings: SupervisorSettings, realtime: 
             "samples lost",
             "",
             f"{lost} of {len(heard.time)}",
-            f"at most {100 * LOST:g} %",
-            lost <= LOST * len(heard.time),
+            f"at most {most}",
+            lost <= most,
         ),
         Check(
             "age of samples",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import re
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -60,7 +61,9 @@ def _affinity(cpu: int | None) -> Measure:
         listed = isolated.read_text().strip() if isolated.exists() else ""
         if listed:
             return Measure(
-                "processor", False, f"any: {listed} is isolated from other work; use --cpu {listed[0]}"
+                "processor",
+                False,
+                f"any: {listed} is isolated from other work; use --cpu {re.split('[-,]', listed)[0]}",
             )
         return Measure(
             "processor",

@@ -164,6 +164,8 @@ def control(
     if end == "over":
         why = first.reason if first else "operator"
         end = {"done": "done", "operator": "stopped"}.get(why, "supervisor")
+        if end == "done" and not supervisor.stopped:  # the motion, but not the stop
+            end, first = "supervisor", log[-1]
         reason = str(first) if end == "supervisor" else first.words if first else ""
     return Outcome(
         end,  # type: ignore[arg-type]

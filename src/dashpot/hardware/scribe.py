@@ -8,6 +8,7 @@ ring, or when the loop's process is gone; then it finishes the log all the same.
 from __future__ import annotations
 
 import json
+import os
 import select
 import signal
 import subprocess
@@ -15,6 +16,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -83,8 +85,10 @@ def scribe(ring: Ring, notes: Notes) -> Iterator[None]:
         said = process.stdout.read().decode().strip()
         process.stdout.close()
         process.wait()
-    if said:
-        raise DashpotError(said)
+    if said or process.returncode:
+        raise DashpotError(
+            said or f"{notes.log}: its writer was ended (status {process.returncode}); the log is cut off"
+        )
 
 
 class Book:
@@ -96,6 +100,7 @@ class Book:
         self.notes = notes
         self.writer = McapWriter(notes.log, notes.joints, period=notes.period, metadata=dict(notes.metadata))
         self._last = (0, 0)  # tick and stamp [ns] of the newest row
+        self.empty = True
 
     def stamps(self, rows: NDArray[np.void]) -> NDArray[np.int64]:
         """Of rows, (t,) [ns]; a sample without a time has that of its tick."""
@@ -104,8 +109,15 @@ class Book:
         time = np.where(np.isfinite(rows["time"]), rows["time"], rows["tick"] * self.notes.period)
         return np.round(np.clip(time, 0, 2**31 - 1) * 1e9).astype(np.int64)
 
+    def close(self) -> None:
+        """Ends the file; one without a single row is removed."""
+        self.writer.close()
+        if self.empty:
+            Path(self.notes.log).unlink(missing_ok=True)
+
     def rows(self, rows: NDArray[np.void]) -> None:
         """Adds rows."""
+        self.empty = False
         n = len(self.notes.joints)
         names = (*COLUMNS, "x0", "x1", "x2", "x3", "mode")
         columns: dict[str, Any] = {name: rows[name][:, :n] for name in names}
@@ -169,19 +181,18 @@ def line(
 
     name = STATES[state]
     text = Text.assemble(
-        (f"{time:8.1f} s  ", "bold"),
+        (f"{time:6.1f} s  ", "bold"),
         (f"{name.replace('_', ' '):<13}", "green" if name == "track" else "bold yellow"),
         no_wrap=True,
+        overflow="ellipsis",
     )
     if np.isfinite(error).any():
         j = int(np.nanargmax(error))
         text.append(f"  error {np.degrees(error[j]):.2f} deg {notes.joints[j]}")
     j = int(np.argmax(share))
     text.append(f"  torque {100 * share[j]:.0f} % {notes.joints[j]}")
-    text.append(
-        f"  late {statistics['late']} of {statistics['cycles']}", "" if statistics["late"] == 0 else "yellow"
-    )
-    text.append(f"  jitter at most {1e6 * statistics['jitter_most']:.0f} us", "dim")
+    text.append(f"  late {statistics['late']}", "" if statistics["late"] == 0 else "yellow")
+    text.append(f"  jitter {1e6 * statistics['jitter_most']:.0f} us", "dim")
     return text
 
 
@@ -228,7 +239,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         with ExitStack() as stack:
             book = Book(notes) if notes.log else None
             if book is not None:
-                stack.callback(book.writer.close)
+                stack.callback(book.close)
             shown = StatusLine(notes) if notes.live else None
             if shown is not None:
                 stack.callback(shown.close)
@@ -236,6 +247,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             read(ring, notes, book, shown, alive)
     except DashpotError as error:
         print(error, flush=True)
+    except BrokenPipeError:  # the controlling process is gone before it began
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:
         print(f"{notes.log}: cannot be written: {error.strerror}", flush=True)
 

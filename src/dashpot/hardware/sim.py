@@ -182,7 +182,11 @@ class SimHardware:
         self._send()
 
     def stop(self) -> None:
-        """Motors off; returns when the arm's process has ended and written its recording."""
+        """Motors off; returns when the arm's process has ended and written its recording.
+
+        Raises:
+            DashpotError: It could not be written.
+        """
         if self._stopped:
             return
         self._stopped = True
@@ -194,6 +198,8 @@ class SimHardware:
             self.process.kill()
             self.process.wait()
         self._socket.close()
+        if self.process.returncode > 0:  # it has said why
+            raise DashpotError("the arm's process has failed; its recording is lost")
 
     def _send(self) -> None:
         try:

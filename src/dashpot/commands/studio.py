@@ -17,7 +17,7 @@ from dashpot.payload import Payload
 if TYPE_CHECKING:
     from dashpot.cli import Studio
 
-EVERY = 10.0  # [s] between two lines of the soak
+EVERY = 10.0  # [s] between two lines of the soak, and two collections
 
 
 def studio(options: Studio) -> int:
@@ -41,7 +41,7 @@ def studio(options: Studio) -> int:
         supervise=options.supervise,
         seed=options.seed,
     )
-    _collect_often()
+    _forget_the_start()
     console = Console()
     try:
         console.print(
@@ -53,7 +53,8 @@ def studio(options: Studio) -> int:
             )
         console.print("time stands still while no page is open; Ctrl-C ends", style="dim")
         if options.run_for is None:
-            threading.Event().wait()
+            while not threading.Event().wait(EVERY):
+                gc.collect()
         else:
             _watch(page, options.run_for, console)
     finally:
@@ -71,14 +72,13 @@ def _check(options: Studio) -> None:
         raise InputError("must be positive", quantity="--run-for [s]", value=options.run_for)
 
 
-def _collect_often() -> None:
-    """Has full collections look at what came after the start only, so that they come often.
+def _forget_the_start() -> None:
+    """Leaves what is there now out of collections, which take milliseconds from then on.
 
-    Python puts them off until a quarter of all objects is new: for hours, and viser's messages leave cycles.
+    viser's messages leave cycles, by which memory grows for an hour before Python collects by itself.
     """
     gc.collect()
     gc.freeze()
-    gc.collect()
 
 
 def _watch(page: object, seconds: float, console: Console) -> None:
@@ -90,6 +90,7 @@ def _watch(page: object, seconds: float, console: Console) -> None:
     usage, end = Usage(), time.monotonic() + seconds
     while (left := end - time.monotonic()) > 0:
         time.sleep(min(EVERY, left))
+        gc.collect()
         now = page.session.snapshot()
         console.print(
             f"{now.time:8.1f} s simulated, {usage.line()}, real time x {now.factor:.2f}", highlight=False

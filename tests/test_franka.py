@@ -1,5 +1,6 @@
 """Official pylibfranka against the simulated FR3, each in its own process, over loopback."""
 
+import os
 import subprocess
 import sys
 
@@ -39,6 +40,13 @@ def hardware(host, robot):
     connected = FrankaHardware(host, robot)
     yield connected
     connected.close()
+
+
+def test_connecting_leaves_the_priority_alone(host, robot):
+    """libfranka takes the highest there is, and every process started later would have it."""
+    before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+    FrankaHardware(host, robot).close()
+    assert (os.sched_getscheduler(0), os.sched_getparam(0).sched_priority) == before
 
 
 # --- whole runs ---------------------------------------------------------------------------------------------

@@ -17,6 +17,8 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
+import os
+from contextlib import suppress
 from types import ModuleType
 from typing import Any
 
@@ -57,6 +59,25 @@ def pylibfranka() -> ModuleType:
                 "(Linux on x86-64, Python 3.11 or 3.12)"
             ) from None
         raise DashpotError(f"pylibfranka {found} does not run here: {error}") from None
+
+
+def connect(host: str) -> Any:
+    """pylibfranka's robot at an address; this thread keeps the priority it has.
+
+    libfranka gives whoever connects the highest real-time priority, 99, for good: what runs next in that
+    process, a browser or a plot, would stop the machine.
+
+    Raises:
+        DashpotError: See `pylibfranka`.
+        pylibfranka.FrankaException, RuntimeError: Nobody answers, or the versions do not fit.
+    """
+    franka = pylibfranka()
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        return franka.Robot(host, franka.RealtimeConfig.kIgnore)
+    finally:
+        with suppress(OSError):
+            os.sched_setscheduler(0, policy, parameters)
 
 
 class FrankaHardware:
@@ -110,7 +131,7 @@ class FrankaHardware:
         self._control: Any = None
         self._in_effect = np.zeros(JOINTS)
         try:
-            self._robot = self._franka.Robot(host, self._franka.RealtimeConfig.kIgnore)
+            self._robot = connect(host)
             self._model = self._robot.load_model()
             self._gravity = self._model.gravity
             if load is not None:

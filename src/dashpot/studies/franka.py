@@ -30,7 +30,7 @@ import numpy as np
 
 from dashpot.controller import Controller, load_controller
 from dashpot.errors import DashpotError
-from dashpot.hardware.franka import FrankaHardware, pylibfranka
+from dashpot.hardware.franka import FrankaHardware, connect, pylibfranka
 from dashpot.hardware.realtime import undisturbed
 from dashpot.hardware.runtime import LoopSettings, Outcome, control
 from dashpot.recording import CHANNELS, Recording
@@ -183,7 +183,7 @@ def repeat(runs: int = RUNS) -> dict[str, Any]:
 def bad(host: str, kind: str) -> str:
     """A bare loop that does a forbidden thing after 0.5 s; what pylibfranka raises, or ""."""
     franka = pylibfranka()
-    robot = franka.Robot(host, franka.RealtimeConfig.kIgnore)
+    robot = connect(host)
     active = robot.start_torque_control()
     try:
         for i in range(1000):
@@ -232,7 +232,7 @@ class _Timed(FrankaHardware):
 def bare(host: str, cycles: int) -> float:
     """Processor time per cycle of a loop that does nothing but read and write [s]."""
     franka = pylibfranka()
-    robot = franka.Robot(host, franka.RealtimeConfig.kIgnore)
+    robot = connect(host)
     with undisturbed(LoopSettings().priority, None):
         active, zeros = robot.start_torque_control(), [0.0] * 7
         active.readOnce()

@@ -461,11 +461,11 @@ def test_a_log_that_was_cut_off_is_said(tmp_path):
     """The run goes on without its log, and ends as a run does; its exit status tells."""
     log = tmp_path / "run.mcap"
     command = [sys.executable, "-m", "dashpot.cli", "run", "k807", "k807-wrist", "--uncertified"]
-    means = ("--samples", "10", "--duration", "4", "--log", str(log))
+    means = ("--samples", "10", "--duration", "6", "--log", str(log))
     process = subprocess.Popen([*command, *means], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     end = time.monotonic() + 60
-    while not (log.exists() and log.stat().st_size) and time.monotonic() < end:
-        time.sleep(0.02)
+    while not (log.exists() and log.stat().st_size > 4000) and time.monotonic() < end:
+        time.sleep(0.02)  # until rows are in it: the run has begun
     os.kill(child_of(process.pid, b"dashpot.hardware.scribe"), signal.SIGKILL)
     out, _ = process.communicate(timeout=120)
     assert process.returncode == 1

@@ -19,8 +19,8 @@ from dashpot.loop import Loop
 from dashpot.simulate import Scenario
 from dashpot.trajectory import hold
 
-LISTEN = 10.0  # [s] at rest that are simulated at a time until somebody takes the arm over
 CALM = 7.0  # [s] for the brakes to close and the links to stop ringing, before anybody listens
+LISTEN = 10.0  # [s] at rest, after that, that are simulated at a time until somebody takes the arm over
 
 
 def _link(file: int, settings: LinkSettings, period: float, listening: bool) -> _native.Link:
@@ -33,7 +33,7 @@ def _link(file: int, settings: LinkSettings, period: float, listening: bool) -> 
 def _at_rest(scenario: Scenario) -> Scenario:
     """The arm in the equilibrium it starts from, with its brakes closed and nothing happening to it."""
     period, path = scenario.trajectory.period, scenario.trajectory
-    ticks = hold(path.position[0], LISTEN, period)
+    ticks = hold(path.position[0], CALM + LISTEN, period)
     if path.torque is not None:
         ticks = replace(ticks, torque=path.torque[:1].repeat(len(ticks.position), 0))
     first = [replace(event, time=0.0) for event in scenario.events if event.time == path.start]

@@ -12,7 +12,7 @@ from dashpot.errors import DashpotError
 
 
 @cache
-def _library() -> tuple[ctypes.CDLL, ...]:
+def _libraries() -> tuple[ctypes.CDLL, ...]:
     folder = Path(mujoco.__file__).parent
     return tuple(
         ctypes.CDLL(str(p)) for p in sorted([*folder.glob("libmujoco*"), *folder.glob("mujoco.dll")])
@@ -26,7 +26,7 @@ def engine(function: str) -> int:
     Raises:
         DashpotError: It has none.
     """
-    for library in _library():
+    for library in _libraries():
         if hasattr(library, function):
             return ctypes.cast(getattr(library, function), ctypes.c_void_p).value or 0
     raise DashpotError(f"{mujoco.__file__}: no MuJoCo library with {function}; reinstall mujoco")
@@ -40,6 +40,6 @@ def quiet_engine() -> None:
     clock back, so the pointer itself is cleared; nobody may be stepping while it is.
     """
     mujoco.set_mju_user_warning(lambda _: None)
-    for library in _library():
+    for library in _libraries():
         if hasattr(library, "mjcb_time"):
             ctypes.c_void_p.in_dll(library, "mjcb_time").value = None

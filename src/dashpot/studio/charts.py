@@ -16,6 +16,7 @@ from dashpot.studio.session import Session
 SECONDS = 10.0  # shown
 BINS = 90  # 180 points a line
 HEIGHT = 118  # [px]
+LABEL = 16  # [px] more where the axis has a name
 PURPLE = "#9A4E7B"
 CHARTS = (
     ("torque", "Sensed torque", "N m"),
@@ -66,7 +67,7 @@ class Charts:
                 for name, colour, dash in ENERGY
             ),
         )
-        self._energy = gui.add_uplot((empty,) * 5, series, **_options())
+        self._energy = gui.add_uplot((empty,) * 5, series, **_options("time [s]"))
 
     def label(self, session: Session) -> None:
         """Writes the titles: the joint on show and the rival."""
@@ -114,8 +115,8 @@ def _lines(past: Past, j: int) -> Floats:
     )
 
 
-def _options() -> dict[str, Any]:
-    axis = {
+def _options(label: str = "") -> dict[str, Any]:
+    axis: dict[str, Any] = {
         "size": 22,
         "font": "11px system-ui",
         "grid": {"stroke": "#E8E8E8", "width": 1},
@@ -123,9 +124,12 @@ def _options() -> dict[str, Any]:
     }
     return {
         "scales": {"x": {"time": False}, "y": {"auto": True}},
-        "axes": (axis, {**axis, "size": 46, "space": 22}),
+        "axes": (
+            {**axis, "label": label, "labelSize": LABEL, "labelFont": "11px system-ui"} if label else axis,
+            {**axis, "size": 46, "space": 22},
+        ),
         "legend": {"show": False},
         "cursor": {"show": False},
-        "height": HEIGHT,
-        "padding": (4, 10, 0, 0),
+        "height": HEIGHT + (LABEL if label else 0),
+        "padding": (8, 10, 0, 0),
     }

@@ -9,6 +9,59 @@
 #include "dashpot_runner.h"
 #include "dashpot_stops.h"
 
+static double *optional(nb::object o, size_t size, const char *name) {
+    if (o.is_none())
+        return nullptr;
+    Array a = nb::cast<Array>(o, false);
+    if (a.size() != size)
+        throw std::invalid_argument(std::string(name) + " has the wrong size");
+    return a.data();
+}
+
+void fill(dp_run_args &a, Core *core, Bytes drives, Bytes events, Vector qpos, Vector qvel, double dt, int steps_per_tick,
+          int ticks, nb::object reference, nb::object external, nb::object record, nb::object status, Faults *faults,
+          Guard *guard) {
+    if (drives.size() == 0 || drives.size() % sizeof(dp_drive) || events.size() % sizeof(dp_event))
+        throw std::invalid_argument("drive or event records have the wrong size");
+    a.qpos = qpos.data();
+    a.qvel = qvel.data();
+    a.dt = dt;
+    a.steps_per_tick = steps_per_tick;
+    a.ticks = ticks;
+    a.drives = static_cast<int>(drives.size() / sizeof(dp_drive));
+    a.events = static_cast<int>(events.size() / sizeof(dp_event));
+    a.drive = reinterpret_cast<dp_drive *>(drives.data());
+    a.event = reinterpret_cast<const dp_event *>(events.data());
+    if (a.drives > DP_MAX_JOINTS || ticks < 0 || steps_per_tick < 1)
+        throw std::invalid_argument("too many drives, or a bad number of ticks or steps");
+    if (faults && faults->f.drives != a.drives)
+        throw std::invalid_argument("the faults are those of another number of drives");
+    a.faults = faults ? &faults->f : nullptr;
+    if (guard) {
+        if (!faults || guard->core != core)
+            throw std::invalid_argument("a supervisor needs the controller it was made for, and a script of faults");
+        a.supervise = dp_supervise;
+        a.supervisor = &guard->s;
+        a.apply_brake = &guard->s.apply_brake;
+        a.state = &guard->s.state;
+        a.supervisor_gravity = guard->s.gravity;
+    }
+    check_drives(a, qpos, qvel, core ? core->c.n : 0);
+    for (int i = 0; i < a.events; i++)
+        if (!core || a.event[i].joint < 0 || a.event[i].joint >= core->c.n)
+            throw std::invalid_argument("an event names a joint that is not controlled");
+    const size_t cells = static_cast<size_t>(ticks) * a.drives;
+    a.reference = optional(reference, 4 * cells, "reference");
+    a.external = optional(external, cells, "external");
+    a.record = optional(record, DP_NREC * cells, "record");
+    if (!status.is_none()) {
+        Ints s = nb::cast<Ints>(status, false);
+        if (s.size() != static_cast<size_t>(ticks))
+            throw std::invalid_argument("status has the wrong size");
+        a.status = s.data();
+    }
+}
+
 namespace {
 
 // The robot's own gravity compensation in one run; the engine's model and data are kept alive by the caller.
@@ -31,53 +84,23 @@ int check_joint(const Core &core, int joint) {
     return joint;
 }
 
-double *optional(nb::object o, size_t size, const char *name) {
-    if (o.is_none())
-        return nullptr;
-    Array a = nb::cast<Array>(o, false);
-    if (a.size() != size)
-        throw std::invalid_argument(std::string(name) + " has the wrong size");
-    return a.data();
-}
-
 nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t model, uintptr_t data, Vector qpos,
               Vector qvel, Vector qfrc_applied, double dt, int steps_per_tick, int ticks, nb::object reference,
               nb::object external, nb::object record, nb::object status, Faults *faults, int first, int last,
               Guard *guard, Link *link, Gravity *gravity, int origin) {
-    if (drives.size() == 0 || drives.size() % sizeof(dp_drive) || events.size() % sizeof(dp_event))
-        throw std::invalid_argument("drive or event records have the wrong size");
     dp_run_args a{};
-    a.step = reinterpret_cast<void (*)(const void *, void *)>(step);
-    a.model = reinterpret_cast<const void *>(model);
-    a.data = reinterpret_cast<void *>(data);
-    a.qpos = qpos.data();
-    a.qvel = qvel.data();
-    a.qfrc_applied = qfrc_applied.data();
-    a.dt = dt;
-    a.steps_per_tick = steps_per_tick;
-    a.ticks = ticks;
-    a.drives = static_cast<int>(drives.size() / sizeof(dp_drive));
-    a.events = static_cast<int>(events.size() / sizeof(dp_event));
-    a.drive = reinterpret_cast<dp_drive *>(drives.data());
-    a.event = reinterpret_cast<const dp_event *>(events.data());
     a.first = first;
     a.origin = origin;
     a.last = last < 0 ? origin + ticks : last;
-    if (a.drives > DP_MAX_JOINTS || ticks < 0 || steps_per_tick < 1 || origin < 0 || first < origin ||
-        static_cast<long>(a.last) > static_cast<long>(origin) + ticks)
-        throw std::invalid_argument("too many drives, or a bad number of ticks or steps");
-    if (faults && faults->f.drives != a.drives)
-        throw std::invalid_argument("the faults are those of another number of drives");
-    a.faults = faults ? &faults->f : nullptr;
-    if (guard) {
-        if (!faults || guard->core != core)
-            throw std::invalid_argument("a supervisor needs the controller it was made for, and a script of faults");
-        a.supervise = dp_supervise;
-        a.supervisor = &guard->s;
-        a.apply_brake = &guard->s.apply_brake;
-        a.state = &guard->s.state;
-        a.supervisor_gravity = guard->s.gravity;
-    }
+    if (origin < 0 || first < origin || static_cast<long>(a.last) > static_cast<long>(origin) + ticks)
+        throw std::invalid_argument("a bad number of ticks");
+    fill(a, core, drives, events, qpos, qvel, dt, steps_per_tick, ticks, reference, external, record, status, faults, guard);
+    if (qfrc_applied.size() != qvel.size())
+        throw std::invalid_argument("a drive's index is outside the engine's state");
+    a.step = reinterpret_cast<void (*)(const void *, void *)>(step);
+    a.model = reinterpret_cast<const void *>(model);
+    a.data = reinterpret_cast<void *>(data);
+    a.qfrc_applied = qfrc_applied.data();
     if (link) {
         if (!faults || guard || !core)
             throw std::invalid_argument("a link needs a controller, a script of faults, and no supervisor");
@@ -93,20 +116,6 @@ nb::tuple run(Core *core, Bytes drives, Bytes events, uintptr_t step, uintptr_t 
             throw std::invalid_argument("the gravity compensation is that of another number of drives");
         a.gravity = dp_gravity_torque;
         a.gravity_of = &gravity->g;
-    }
-    check_drives(a, qpos, qvel, qfrc_applied, core ? core->c.n : 0);
-    for (int i = 0; i < a.events; i++)
-        if (!core || a.event[i].joint < 0 || a.event[i].joint >= core->c.n)
-            throw std::invalid_argument("an event names a joint that is not controlled");
-    const size_t cells = static_cast<size_t>(ticks) * a.drives;
-    a.reference = optional(reference, 4 * cells, "reference");
-    a.external = optional(external, cells, "external");
-    a.record = optional(record, DP_NREC * cells, "record");
-    if (!status.is_none()) {
-        Ints s = nb::cast<Ints>(status, false);
-        if (s.size() != static_cast<size_t>(ticks))
-            throw std::invalid_argument("status has the wrong size");
-        a.status = s.data();
     }
     int result;
     {
@@ -357,6 +366,7 @@ NB_MODULE(_native, m) {
     bind_lists(m);
     bind_supervisor(m);
     bind_cycle(m);
+    bind_lanes(m);
 
     nb::dict sources;
     for (const auto &source : SOURCES)

@@ -42,10 +42,16 @@ struct Link {
 };
 
 // Checks that the drives' indices are within the engine's state, and those of their controls below a number.
-void check_drives(const dp_run_args &a, const Vector &qpos, const Vector &qvel, const Vector &qfrc_applied, int controls);
+void check_drives(const dp_run_args &a, const Vector &qpos, const Vector &qvel, int controls);
+
+// Sets and checks what every run of a scenario needs; the arrays must outlive the run.
+void fill(dp_run_args &a, Core *core, Bytes drives, Bytes events, Vector qpos, Vector qvel, double dt, int steps_per_tick,
+          int ticks, nb::object reference, nb::object external, nb::object record, nb::object status, Faults *faults,
+          Guard *guard);
 
 void bind_arm(nb::module_ &m);    // bindings_arm.cpp
 void bind_lists(nb::module_ &m);  // the same
 void bind_cycle(nb::module_ &m);  // bindings_cycle.cpp
+void bind_lanes(nb::module_ &m);  // bindings_lanes.cpp
 
 #endif

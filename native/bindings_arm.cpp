@@ -17,12 +17,12 @@ struct Arm {
 
 }  // namespace
 
-void check_drives(const dp_run_args &a, const Vector &qpos, const Vector &qvel, const Vector &qfrc_applied, int controls) {
+void check_drives(const dp_run_args &a, const Vector &qpos, const Vector &qvel, int controls) {
     for (int j = 0; j < a.drives; j++) {
         const dp_drive &d = a.drive[j];
         auto bad = [](int i, size_t n) { return i < 0 || static_cast<size_t>(i) >= n; };
         if (bad(d.rotor_qpos, qpos.size()) || bad(d.spring_qpos, qpos.size()) || bad(d.rotor_dof, qvel.size()) ||
-            bad(d.spring_dof, qvel.size()) || qfrc_applied.size() != qvel.size())
+            bad(d.spring_dof, qvel.size()))
             throw std::invalid_argument("a drive's index is outside the engine's state");
         if (d.control >= controls || d.sensor_delay < 0 || d.sensor_delay > DP_MAX_DELAY || d.inner_steps < 1)
             throw std::invalid_argument("a drive's control index, delay or inner period is out of range");
@@ -58,7 +58,9 @@ void bind_arm(nb::module_ &m) {
              nb::keep_alive<1, 6>())
         .def("engine",
              [](Arm &l, uintptr_t model, uintptr_t data, Vector qpos, Vector qvel, Vector qfrc_applied) {
-                 check_drives(l.a, qpos, qvel, qfrc_applied, l.a.drives);
+                 check_drives(l.a, qpos, qvel, l.a.drives);
+                 if (qfrc_applied.size() != qvel.size())
+                     throw std::invalid_argument("the engine's arrays have different sizes");
                  l.a.model = reinterpret_cast<const void *>(model);
                  l.a.data = reinterpret_cast<void *>(data);
                  l.a.qpos = qpos.data();

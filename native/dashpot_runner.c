@@ -163,82 +163,6 @@ static void sense(const dp_run_args *a, int tick, int at, int j, double *torque,
     *velocity = w;
 }
 
-/* The robot's own gravity compensation. It knows what its encoders say, and goes on as it was where one is lost. The
- * controller is told what is carried for it, in the packet of the torque sample. */
-static void carry(dp_run_args *a, int tick, int n, double *in)
-{
-    double known[DP_MAX_JOINTS], gravity[DP_MAX_JOINTS] = {0};
-    for (int j = 0; j < a->drives; j++) {
-        dp_drive *d = &a->drive[j];
-        if (!(a->faults && d->control >= 0))
-            d->known = d->encoder;
-        else
-            dp_faults_angle(a->faults, j, &d->known);
-        known[j] = d->known;
-    }
-    a->gravity(a->gravity_of, known, gravity);
-    for (int j = 0; j < a->drives; j++) {
-        const int i = a->drive[j].control;
-        const double told = a->faults && i >= 0 ? dp_faults_gravity(a->faults, j, tick, gravity[j]) : gravity[j];
-        a->drive[j].gravity = gravity[j];
-        if (a->record)
-            a->record[((long)DP_REC_SAMPLE * a->ticks + tick - a->origin) * a->drives + j] -= told;
-        if (i >= 0 && a->supervisor_gravity) /* it checks the sensor as it is, and takes the rest off itself */
-            a->supervisor_gravity[i] = told;
-        else if (i >= 0)
-            in[DP_IN_TORQUE * n + i] -= told;
-    }
-}
-
-static void control_tick(dp_controller *c, dp_run_args *a, int tick, double *in, double *out)
-{
-    const int n = c ? c->n : 0;
-    dp_faults *f = a->faults;
-    int torque_age[DP_MAX_JOINTS] = {0}, encoder_age[DP_MAX_JOINTS] = {0}, powered = 1;
-    if (f) {
-        dp_faults_tick(f, a, tick);
-        powered = f->powered;
-    }
-    for (int j = 0; j < a->drives; j++) {
-        double tau, q, w;
-        sense(a, tick, tick, j, &tau, &q, &w);
-        const int i = a->drive[j].control;
-        if (i < 0)
-            continue;
-        if (f) {
-            torque_age[i] = f->torque_age[j];
-            encoder_age[i] = f->encoder_age[j];
-        }
-        in[DP_IN_TORQUE * n + i] = tau;
-        in[DP_IN_POSITION * n + i] = q;
-        in[DP_IN_VELOCITY * n + i] = w;
-        for (int k = 0; k < 4; k++)
-            in[(DP_IN_POSITION_REF + k) * n + i] = a->reference ? *row(a->reference, a, k, tick, j) : 0.0;
-    }
-    if (a->gravity)
-        carry(a, tick, n, in);
-    if (c && powered) {
-        int status = a->supervise ? a->supervise(a->supervisor, c, in, torque_age, encoder_age, out)
-                                  : dp_step(c, in, out);
-        if (a->status)
-            a->status[tick - a->origin] = status;
-        if (f && a->apply_brake)
-            f->apply_brake = *a->apply_brake;
-        if (f && a->state && *a->state != 0 && f->stopped_at < 0)
-            f->stopped_at = tick;
-    }
-    for (int j = 0; j < a->drives; j++) {
-        dp_drive *d = &a->drive[j];
-        if (d->control >= 0)
-            d->motor = c->state[d->control].in_effect;
-        if (a->record) {
-            double asked = f ? clamp(d->motor, d->torque_limit) : d->motor;
-            record(a, tick, j, DP_REC_COMMAND, d->control >= 0 ? (powered ? out[d->control] : 0.0) : d->asked);
-            record(a, tick, j, DP_REC_IN_EFFECT, d->control >= 0 ? asked : d->asked);
-        }
-    }
-}
-
 static int apply_events(dp_controller *c, const dp_run_args *a, int tick, int next)
 {
     for (; next < a->events && a->event[next].tick <= tick; next++) {
@@ -255,8 +179,93 @@ static int apply_events(dp_controller *c, const dp_run_args *a, int tick, int ne
     return next;
 }
 
-/* State of the drives at the first tick: springs at rest, filters settled. */
-static void begin(const dp_controller *c, dp_run_args *a)
+/* Where the encoders say that the rotors are; where one is lost, it goes on as it was. */
+static void know(dp_run_args *a, double *known)
+{
+    for (int j = 0; j < a->drives; j++) {
+        dp_drive *d = &a->drive[j];
+        if (!(a->faults && d->control >= 0))
+            d->known = d->encoder;
+        else
+            dp_faults_angle(a->faults, j, &d->known);
+        known[j] = d->known;
+    }
+}
+
+/* The robot carries its own weight; its controller is told so in the packet of the torque sample. */
+static void carry(dp_run_args *a, int tick, int n, const double *gravity, double *in)
+{
+    for (int j = 0; j < a->drives; j++) {
+        const int i = a->drive[j].control;
+        const double told = a->faults && i >= 0 ? dp_faults_gravity(a->faults, j, tick, gravity[j]) : gravity[j];
+        a->drive[j].gravity = gravity[j];
+        if (a->record)
+            a->record[((long)DP_REC_SAMPLE * a->ticks + tick - a->origin) * a->drives + j] -= told;
+        if (i >= 0 && a->supervisor_gravity) /* it checks the sensor as it is, and takes the rest off itself */
+            a->supervisor_gravity[i] = told;
+        else if (i >= 0)
+            in[DP_IN_TORQUE * n + i] -= told;
+    }
+}
+
+void dp_tick_sense(dp_controller *c, dp_run_args *a, int tick, dp_tick *t)
+{
+    const int n = c ? c->n : 0;
+    dp_faults *f = a->faults;
+    a->tick = tick;
+    t->powered = 1;
+    if (c)
+        t->next = apply_events(c, a, tick, t->next);
+    if (f) {
+        dp_faults_tick(f, a, tick);
+        t->powered = f->powered;
+    }
+    for (int j = 0; j < a->drives; j++) {
+        double tau, q, w;
+        sense(a, tick, tick, j, &tau, &q, &w);
+        const int i = a->drive[j].control;
+        if (i < 0)
+            continue;
+        t->torque_age[i] = f ? f->torque_age[j] : 0;
+        t->encoder_age[i] = f ? f->encoder_age[j] : 0;
+        t->in[DP_IN_TORQUE * n + i] = tau;
+        t->in[DP_IN_POSITION * n + i] = q;
+        t->in[DP_IN_VELOCITY * n + i] = w;
+        for (int k = 0; k < 4; k++)
+            t->in[(DP_IN_POSITION_REF + k) * n + i] = a->reference ? *row(a->reference, a, k, tick, j) : 0.0;
+    }
+    know(a, t->known);
+}
+
+void dp_tick_control(dp_controller *c, dp_run_args *a, int tick, const double *gravity, dp_tick *t)
+{
+    dp_faults *f = a->faults;
+    if (gravity)
+        carry(a, tick, c ? c->n : 0, gravity, t->in);
+    if (c && t->powered) {
+        int status = a->supervise ? a->supervise(a->supervisor, c, t->in, t->torque_age, t->encoder_age, t->out)
+                                  : dp_step(c, t->in, t->out);
+        if (a->status)
+            a->status[tick - a->origin] = status;
+        if (f && a->apply_brake)
+            f->apply_brake = *a->apply_brake;
+        if (f && a->state && *a->state != 0 && f->stopped_at < 0)
+            f->stopped_at = tick;
+    }
+    for (int j = 0; j < a->drives; j++) {
+        dp_drive *d = &a->drive[j];
+        if (d->control >= 0)
+            d->motor = c->state[d->control].in_effect;
+        if (a->record) {
+            double asked = f ? clamp(d->motor, d->torque_limit) : d->motor;
+            double issued = t->powered ? t->out[d->control >= 0 ? d->control : 0] : 0.0;
+            record(a, tick, j, DP_REC_COMMAND, d->control >= 0 ? issued : d->asked);
+            record(a, tick, j, DP_REC_IN_EFFECT, d->control >= 0 ? asked : d->asked);
+        }
+    }
+}
+
+void dp_begin(const dp_controller *c, dp_run_args *a)
 {
     for (int j = 0; j < a->drives; j++) {
         dp_drive *d = &a->drive[j];
@@ -311,18 +320,18 @@ static int advance(const dp_run_args *a, int tick)
 
 int dp_run(dp_controller *c, dp_run_args *a)
 {
-    double in[DP_NIN * DP_MAX_JOINTS] = {0}, out[DP_MAX_JOINTS] = {0};
-    int next = 0;
+    dp_tick t = {0};
+    double gravity[DP_MAX_JOINTS] = {0};
     if (a->first == 0)
-        begin(c, a);
-    while (next < a->events && a->event[next].tick < a->first)
-        next++;
+        dp_begin(c, a);
+    while (t.next < a->events && a->event[t.next].tick < a->first)
+        t.next++;
     a->diverged_tick = -1;
     for (int tick = a->first; tick < a->last; tick++) {
-        a->tick = tick;
-        if (c)
-            next = apply_events(c, a, tick, next);
-        control_tick(c, a, tick, in, out);
+        dp_tick_sense(c, a, tick, &t);
+        if (a->gravity)
+            a->gravity(a->gravity_of, t.known, gravity);
+        dp_tick_control(c, a, tick, a->gravity ? gravity : 0, &t);
         if (a->end && *a->end)
             return DP_RUN_OK;
         if (advance(a, tick) != DP_RUN_OK) {
@@ -336,7 +345,7 @@ int dp_run(dp_controller *c, dp_run_args *a)
 void dp_sense(dp_run_args *a, int tick, double *torque, double *position, double *velocity)
 {
     if (tick == 0)
-        begin(0, a);
+        dp_begin(0, a);
     if (a->faults)
         dp_faults_tick(a->faults, a, tick);
     for (int j = 0; j < a->drives; j++)

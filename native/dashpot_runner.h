@@ -126,6 +126,23 @@ typedef struct {
  * engine's model may be another one with the same degrees of freedom, the time step may not. */
 int dp_run(dp_controller *c, dp_run_args *a);
 
+/* A tick of dp_run in its parts, for whoever runs the physics otherwise. */
+typedef struct {
+    double in[DP_NIN * DP_MAX_JOINTS], out[DP_MAX_JOINTS]; /* of the controller, or its supervisor */
+    double known[DP_MAX_JOINTS];  /* where the robot's gravity compensation believes the rotors to be [rad] */
+    int torque_age[DP_MAX_JOINTS], encoder_age[DP_MAX_JOINTS], powered;
+    int next;                     /* event to come */
+} dp_tick;
+
+/* State of the drives at the first tick: springs at rest, filters settled. */
+void dp_begin(const dp_controller *c, dp_run_args *a);
+
+/* Events, faults and sensors of a tick, in this order. */
+void dp_tick_sense(dp_controller *c, dp_run_args *a, int tick, dp_tick *t);
+
+/* Controller or supervisor; gravity [drives] is what the robot carries itself [N m], or null. */
+void dp_tick_control(dp_controller *c, dp_run_args *a, int tick, const double *gravity, dp_tick *t);
+
 /* The arm alone, one tick at a time, its motor torques given from outside: dp_sense at the tick, then dp_push with the
  * torque of every drive [N m] held until the next (0 where it is not finite, or the arm is without power). Every drive's
  * control must be >= 0, or its sensors do not fail; a->record, if any, has one row. As dp_run at tick 0 and after. */

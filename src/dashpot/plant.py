@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -27,6 +27,9 @@ from dashpot.errors import InputError, InputWarning, ModelError
 from dashpot.payload import Payload, hang
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
+
+if TYPE_CHECKING:
+    from dashpot.lanes.tree import Tree
 
 PRESLIDING_STEP = 0.6  # largest product of time step and a stuck rotor's frequency; 2 would be unstable
 HYSTERESIS = 0.25  # stiffness of the hysteresis element over the transmission's; assumed
@@ -74,6 +77,7 @@ class Plant:
         stiffest: Highest natural frequency of the elastic joints [rad/s], which set the step.
         step_said: One line that says how the step was chosen.
         loaded: The same arm with other loads, as `with_payload` has built them.
+        tree: The arm as the vectorised engine has read it (`dashpot.lanes`), or None.
     """
 
     robot: Robot
@@ -85,6 +89,7 @@ class Plant:
     loaded: dict[tuple[float, ...], Plant] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
+    tree: Tree | None = field(default=None, init=False, repr=False, compare=False)
 
     @property
     def rotor_qpos(self) -> NDArray[np.int32]:

@@ -1,0 +1,6 @@
+"""The vectorised arm: many scenarios of one robot at a time, on the lanes of vector registers (docs/lanes.md)."""
+
+from dashpot.lanes.run import WIDTHS, run_lanes, unfit
+from dashpot.lanes.tree import Tree, tree_of
+
+__all__ = ["WIDTHS", "Tree", "run_lanes", "tree_of", "unfit"]

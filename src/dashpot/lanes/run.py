@@ -1,0 +1,128 @@
+"""Scenarios on the vectorised engine: grouped by arm and time step, each with the bits that it has alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import dashpot._native as _native
+from dashpot.errors import InputError, ModelError
+from dashpot.lanes.tree import Tree, tree_of
+from dashpot.loop import Loop
+from dashpot.plant import Plant, with_payload
+from dashpot.recording import Recording
+
+if TYPE_CHECKING:
+    from dashpot.simulate import Scenario
+
+WIDTHS: dict[int, str] = dict(_native.LANES)
+"""Lanes that this machine has -> instruction set; the last is the widest."""
+BATCH = 8  # groups that one thread runs at a time
+
+
+def tree_kept(plant: Plant) -> Tree:
+    """`tree_of`, read once per plant."""
+    if plant.tree is None:
+        plant.tree = tree_of(plant)
+    return plant.tree
+
+
+def unfit(scenario: Scenario) -> str:
+    """Why a scenario needs MuJoCo; "" where it does not."""
+    try:
+        tree_kept(scenario.plant)
+    except ModelError as error:
+        return str(error)
+    return ""
+
+
+class _Prepared(Loop):
+    """A run that the vectorised engine does."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        super().__init__(scenario)
+        period, plant = scenario.trajectory.period, self._plant
+        self.tree = tree = tree_kept(scenario.plant)
+        changes = sorted(scenario.payload_changes, key=lambda change: change.time)
+        loads = [tree, *(tree_kept(with_payload(scenario.plant, c.payload, period)) for c in changes)]
+        if any(load.record != tree.record for load in loads):
+            raise InputError("a payload changes the arm itself", quantity="payload_changes")
+        bare = tree_kept(with_payload(scenario.plant, None, period)).bodies if self._gravity else None
+        self.steps = round(period / plant.timestep)
+        self.lane = _native.Lane(
+            self.core,
+            self._drives.view(np.uint8),
+            self._events.view(np.uint8),
+            self._data.qpos,
+            self._data.qvel,
+            plant.timestep,
+            self.steps,
+            self.ticks,
+            self._reference,
+            self._external,
+            self._record,
+            self._status,
+            self.faults,
+            self.guard,
+            tree.rotors,
+            np.array([0, *(tick for tick, _ in self._models)], np.int32),
+            np.stack([load.bodies for load in loads]),
+            bare,
+        )
+
+    def finish(self) -> Recording:
+        """What the engine has recorded."""
+        self.tick = self.ticks
+        if self.lane.diverged_tick >= 0:
+            self.diverged = self.lane.diverged_tick
+        found = self.recording()
+        found.settings["engine"] = "lanes"
+        return found
+
+
+def run_lanes(
+    scenarios: Sequence[Scenario], *, width: int | None = None, threads: int = 1
+) -> list[Recording]:
+    """Runs scenarios side by side.
+
+    The bits of a recording depend neither on the others nor on width or threads.
+
+    Args:
+        scenarios: In any order, of any robots.
+        width: Lanes, one of `WIDTHS`; None: the widest.
+        threads: That share the groups.
+
+    Returns:
+        Recordings in the order of the scenarios.
+
+    Raises:
+        ModelError: A plant has something that only MuJoCo simulates.
+        InputError: As `dashpot.simulate.run`, or no such width.
+    """
+    width = max(WIDTHS) if width is None else width
+    if width not in WIDTHS:
+        raise InputError(f"must be one of {', '.join(map(str, WIDTHS))}", quantity="width", value=width)
+    prepared = [_Prepared(scenario) for scenario in scenarios]
+    groups: dict[object, list[_Prepared]] = {}
+    for one in prepared:
+        key = (one.tree.record.tobytes(), len(one.tree.rotors), one._plant.timestep, one.steps)
+        groups.setdefault(key, []).append(one)
+    work = []
+    for group in groups.values():
+        group.sort(key=lambda one: one.ticks)  # those that end together run together
+        size = width * (BATCH if threads > 1 else len(group))
+        work += [group[i : i + size] for i in range(0, len(group), size)]
+
+    def go(part: list[_Prepared]) -> None:
+        _native.run_lanes(part[0].tree.raw, [one.lane for one in part], width)
+
+    if threads > 1 and len(work) > 1:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(go, work))
+    else:
+        for part in work:
+            go(part)
+    return [one.finish() for one in prepared]

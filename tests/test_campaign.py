@@ -22,9 +22,11 @@ from dashpot.campaign.measures import MEASURES, measure, stops
 from dashpot.campaign.scenario import FAILED, OK, Campaign
 from dashpot.campaign.spec import Spec
 from dashpot.campaign.store import Store, campaign_of, create, open_dataset, run_chunk
+from dashpot.campaign.together import LANES, MUJOCO
 from dashpot.cli import main
 from dashpot.controller import Controller, load_controller
 from dashpot.errors import DashpotError, InputError
+from dashpot.lanes import run_lanes
 from dashpot.payload import Payload
 from dashpot.plant import build
 from dashpot.recording import CHANNELS, Recording
@@ -115,13 +117,16 @@ def command(*arguments, **options):
     )
 
 
-def test_the_dataset_holds_what_run_gives_for_hand_made_scenarios(spec, tmp_path):
-    out = finished(spec(), tmp_path / "out.zarr")
+@pytest.mark.parametrize("engine", ["auto", "mujoco"])
+def test_the_dataset_holds_what_run_gives_for_hand_made_scenarios(spec, tmp_path, engine):
+    text = f'engine = "{engine}"\n' + SPEC
+    out = finished(spec(lambda _: text), tmp_path / "out.zarr")
     robot, config = Robot.load(tmp_path / "one.toml"), load_controller(tmp_path / "law.toml")
     path = multisine(robot.home, 0.4, config.period, 0, amplitude=0.1, lead_in=1.0)
     plant = build(robot, config.period, [Payload(0.2)])
     law = Controller.from_config(config, robot.drives)
-    recording = run(Scenario(plant, law, path, [Event(0.2, "all", "position_loop", False)], seed=3))
+    scenario = Scenario(plant, law, path, [Event(0.2, "all", "position_loop", False)], seed=3)
+    recording = run(scenario) if engine == "mujoco" else run_lanes([scenario], width=1)[0]
     expected = measure(recording, 0.2, np.array([30.0]), ["joint"], np.array([np.inf]), np.array([1e3]))
     with open_dataset(out) as dataset:
         assert dataset.sizes == {"payload": 3, "gains_R": 2, "seed": 3, "joint": 1}
@@ -130,7 +135,8 @@ def test_the_dataset_holds_what_run_gives_for_hand_made_scenarios(spec, tmp_path
             np.testing.assert_array_equal(one[name].values, expected[name])
             assert dataset[name].attrs["units"] == kind.unit
         assert dataset["payload"].attrs["units"] == "kg"
-        assert dataset.attrs["spec"] == SPEC
+        assert dataset.attrs["spec"] == text
+        assert (dataset["engine"] == (MUJOCO if engine == "mujoco" else LANES)).all()
         assert (dataset["status"] == OK).all()
         assert int(one["scenario"]) == 11
     recording_error = (recording.reference - recording.link_position)[200:240]
@@ -241,9 +247,10 @@ def test_replay_gives_the_same_bits_and_simulates_picture(spec, tmp_path, capsys
     assert (tmp_path / "again" / "simulate.png").stat().st_size > 10_000
     recording = Recording.load(tmp_path / "again" / "recording.npz")
     campaign = campaign_of(out)
-    expected = run(campaign.scenario(11))
+    alone, reference = run_lanes([campaign.scenario(11)])[0], run(campaign.scenario(11))
     for name in CHANNELS:
-        np.testing.assert_array_equal(getattr(recording, name), getattr(expected, name))
+        np.testing.assert_array_equal(getattr(recording, name), getattr(alone, name))
+        np.testing.assert_allclose(getattr(recording, name), getattr(reference, name), rtol=0, atol=1e-10)
 
 
 def test_failed_scenarios_are_named_with_seed_and_reason(spec, tmp_path, capsys):

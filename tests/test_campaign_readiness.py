@@ -11,9 +11,10 @@ import pytest
 
 from dashpot.campaign.judge import judge
 from dashpot.campaign.measures import MEASURES
-from dashpot.campaign.scenario import OK, Campaign, run_one
+from dashpot.campaign.scenario import OK, Campaign
 from dashpot.campaign.spec import Spec
 from dashpot.campaign.store import create, open_dataset
+from dashpot.campaign.together import LANES, run_together
 from dashpot.faults import NAMES, Fault
 from dashpot.payload import Payload
 from dashpot.plant import build
@@ -112,14 +113,14 @@ def test_one_scenario_of_every_fault_ends_as_documented(campaign, tmp_path):
     create(tmp_path / "gate.zarr", campaign)
     with open_dataset(tmp_path / "gate.zarr") as dataset:
         dataset = dataset.load()
-    for name in spec.axis("fault").labels:
-        index = int(rng.choice(indices_of(campaign, name)))
-        status, why, found = run_one(campaign, index)
-        assert status == OK, why
+    indices = [int(rng.choice(indices_of(campaign, name))) for name in spec.axis("fault").labels]
+    for index, outcome in zip(indices, run_together(campaign, indices), strict=True):
+        assert outcome.status == OK, outcome.reason
+        assert outcome.engine == LANES
         at = np.unravel_index(index, spec.shape)
-        dataset["status"].values[at] = status
+        dataset["status"].values[at] = outcome.status
         for measure in MEASURES:
-            dataset[measure].values[at] = found[measure]
+            dataset[measure].values[at] = outcome.measures[measure]
     hard = ("not_finite", "torque_share", "rate_share", "oscillated", "supervisor_state", "time_to_decision")
     for verdict in judge(spec, dataset):
         if verdict.requirement.measure in hard:

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from dashpot import _native
 from dashpot.controller import BLENDING, NOT_FINITE, RATE_LIMITED, TORQUE_LIMITED, Controller
 from dashpot.errors import InputError
-from dashpot.loop import EVENT_DTYPE
 from dashpot.plant import DRIVE_DTYPE
+from dashpot.prepare import EVENT_DTYPE
 from dashpot.sampled import (
     BLOCK_DTYPE,
     NW,

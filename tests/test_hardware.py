@@ -27,9 +27,9 @@ from dashpot.hardware.interface import Sample
 from dashpot.hardware.ring import COLUMNS, ROW_DTYPE, Ring
 from dashpot.hardware.runtime import LoopSettings, control
 from dashpot.hardware.sim import LinkSettings, SimHardware
-from dashpot.loop import encoder_ranges
 from dashpot.payload import Payload
 from dashpot.plant import build
+from dashpot.prepare import encoder_ranges
 from dashpot.recording import CHANNELS, Recording
 from dashpot.robot import Robot
 from dashpot.simulate import PayloadChange, Scenario, run

@@ -26,9 +26,9 @@ from dashpot.hardware.interface import Hardware, Sample
 from dashpot.hardware.realtime import undisturbed
 from dashpot.hardware.runtime import LoopSettings, control, joint_order
 from dashpot.hardware.sim import LinkSettings, SimHardware
-from dashpot.loop import encoder_ranges
 from dashpot.payload import Payload
 from dashpot.plant import build
+from dashpot.prepare import encoder_ranges
 from dashpot.robot import Robot
 from dashpot.simulate import Scenario
 from dashpot.supervisor import Supervisor, SupervisorSettings

@@ -14,6 +14,9 @@ MAX_DELAY: int
 FAULT_SIZE: int
 MAX_FAULTS: int
 MAX_LATE: int
+TREE_SIZE: int
+MAX_LINKS: int
+LANES: dict[int, str]
 SOURCES: dict[str, str]
 
 class Core:
@@ -212,3 +215,47 @@ class Link:
         after: int,
         quiet: int,
     ) -> None: ...
+
+class Lane:
+    diverged_tick: int
+    def __init__(
+        self,
+        core: Core | None,
+        drives: NDArray[np.uint8],
+        events: NDArray[np.uint8],
+        qpos: NDArray[np.float64],
+        qvel: NDArray[np.float64],
+        dt: float,
+        steps_per_tick: int,
+        ticks: int,
+        reference: NDArray[np.float64] | None,
+        external: NDArray[np.float64] | None,
+        record: NDArray[np.float64] | None,
+        status: NDArray[np.int32] | None,
+        faults: Faults | None,
+        guard: Guard | None,
+        rotors: NDArray[np.float64],
+        load_ticks: NDArray[np.int32],
+        loads: NDArray[np.float64],
+        bare: NDArray[np.float64] | None,
+    ) -> None: ...
+
+def run_lanes(tree: NDArray[np.uint8], scenarios: list[Lane], width: int) -> None: ...
+def forward_dynamics(
+    tree: NDArray[np.uint8],
+    body: NDArray[np.float64],
+    q: NDArray[np.float64],
+    qd: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    qdd: NDArray[np.float64],
+    mass: NDArray[np.float64] | None,
+    bias: NDArray[np.float64] | None,
+    width: int,
+) -> None: ...
+def lane_functions(
+    x: NDArray[np.float64],
+    sine: NDArray[np.float64],
+    cosine: NDArray[np.float64],
+    decay: NDArray[np.float64],
+    width: int,
+) -> None: ...

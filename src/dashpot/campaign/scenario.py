@@ -21,17 +21,18 @@ from dashpot.campaign.measures import measure
 from dashpot.campaign.script import Script
 from dashpot.campaign.spec import Spec
 from dashpot.controller import Controller, ControllerConfig, load_controller
-from dashpot.errors import DashpotError, InputError
-from dashpot.loop import check
+from dashpot.errors import InputError
 from dashpot.motionfile import read_motion
 from dashpot.payload import Payload
 from dashpot.plant import Plant, build
+from dashpot.prepare import check
 from dashpot.recording import Recording
 from dashpot.release import release_events, tracking_events
+from dashpot.remember import Remembered
 from dashpot.rivals.gravity import with_feedforward
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
-from dashpot.simulate import Scenario, run
+from dashpot.simulate import Scenario
 from dashpot.testbench import tap
 from dashpot.trajectory import Trajectory, hold, multisine
 
@@ -73,6 +74,7 @@ class Campaign:
         configs: Controllers by the name the specification gives them.
         digests: SHA-256 of every file that decides the outcome.
         digest: Of everything that decides the outcome.
+        remembered: What scenarios of the same plant and controller have in common.
     """
 
     def __init__(self, spec: Spec) -> None:
@@ -87,9 +89,10 @@ class Campaign:
     def _forget(self) -> None:
         self._kept: dict[str, OrderedDict[Any, Any]] = {}
         self._lock = Lock()
+        self.remembered = Remembered()
 
     def __getstate__(self) -> dict[str, Any]:
-        drop = ("_kept", "_lock", "sample", "scripts")
+        drop = ("_kept", "_lock", "remembered", "sample", "scripts")
         return {name: value for name, value in self.__dict__.items() if name not in drop}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -319,20 +322,6 @@ class Campaign:
         joints = () if scenario.controller is None else scenario.controller.joints
         rates = np.array([drive.torque_rate_limit for drive in self.robot.drives])
         return measure(recording, setting.event, limits, joints, rates, scenario.plant.drives["stiffness"])
-
-
-def run_one(campaign: Campaign, index: int) -> tuple[int, str, dict[str, Any]]:
-    """Runs one scenario: its status, why it failed, and its measures (none where it could not be run)."""
-    try:
-        setting = campaign.setting(index)
-        scenario = campaign.assemble(setting)
-        recording = run(scenario)
-        found = campaign.measure(setting, scenario, recording)
-    except (DashpotError, ArithmeticError, np.linalg.LinAlgError) as error:
-        return FAILED, str(error) or type(error).__name__, {}
-    if recording.diverged_at is not None:
-        return DIVERGED, f"diverged at {recording.diverged_at:.4g} s", found
-    return OK, "", found
 
 
 def versions() -> dict[str, str]:

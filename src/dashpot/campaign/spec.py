@@ -23,12 +23,13 @@ from dashpot.tables import as_float, check_keys, check_numbers, number
 
 PRESETS = ("readiness",)
 SAMPLES = ("latin_hypercube", "sobol")
+ENGINES = ("auto", "lanes", "mujoco")
 MOST = 10_000_000  # scenarios; each is named by an index that a person types
 CHUNK = 16  # scenarios at most that one worker runs before they are kept, unless said
 CHUNKS = 32  # a small campaign is cut into this many, so that every core has work
 KEYS = {
     *("robot", "controller", "motion", "duration", "lead_in", "amplitude", "release", "tap", "supervisor"),
-    "gravity_compensation",
+    *("gravity_compensation", "engine"),
     *("sample", "count", "seed", "chunk", "axes", "poses", "requirements"),
 }
 
@@ -50,6 +51,7 @@ class Spec:
         supervisor: One runs in every scenario, with these settings in place of those in the
             controller's file; None: none does.
         gravity_compensation: Whether the robot's own is on, where its file says that it has one.
+        engine: "lanes", the vectorised arm; "mujoco"; or "auto": the first where it can simulate the arm.
         sample: "latin_hypercube", "sobol", or None: no axis is sampled.
         count: Points of the sample.
         seed: Of the sample and of random poses.
@@ -72,6 +74,7 @@ class Spec:
     tap: float = number("N m", -1e5, 1e5, default=0.0)
     supervisor: Mapping[str, Any] | None = None
     gravity_compensation: bool = False
+    engine: str = "auto"
     sample: str | None = None
     count: int = 0
     seed: int = 0
@@ -100,6 +103,8 @@ class Spec:
             raise self._refuse("is for samples only", "count", self.count)
         if type(self.gravity_compensation) is not bool:
             raise self._refuse("must be true or false", "gravity_compensation", self.gravity_compensation)
+        if self.engine not in ENGINES:
+            raise self._refuse(f"must be one of {', '.join(ENGINES)}", "engine", self.engine)
         if type(self.seed) is not int or not 0 <= self.seed < 2**31:
             raise self._refuse("must be a whole number, not negative", "seed", self.seed)
         if self.chunk is not None and (type(self.chunk) is not int or not 1 <= self.chunk <= 10_000):
@@ -294,7 +299,7 @@ class Spec:
         for key, values in (("robot", (table["robot"],)), ("controller", names)):
             if not values or not all(isinstance(value, str) and value for value in values):
                 raise InputError("must be a file or a bundled name", file=file, quantity=key, value=values)
-        for key in ("motion", "sample"):
+        for key in ("motion", "sample", "engine"):
             if not isinstance(table.get(key, ""), str):
                 raise InputError("must be a text", file=file, quantity=key, value=table[key])
         pose = given.get("pose")

@@ -21,11 +21,12 @@ import numpy as np
 
 from dashpot.campaign.axes import Axis
 from dashpot.campaign.measures import MEASURES
-from dashpot.campaign.scenario import Campaign, run_one, versions
+from dashpot.campaign.scenario import Campaign, versions
 from dashpot.campaign.spec import Spec
+from dashpot.campaign.together import LANES, MUJOCO, run_together
 from dashpot.errors import DashpotError, InputError
 
-FORMAT = 1
+FORMAT = 2
 STATUS_WORDS = "pending ok diverged failed"
 COORDINATE_CHUNK = 65536
 
@@ -39,29 +40,32 @@ class Block:
         status: (scenarios,).
         reason: Why scenarios failed; "" where they did not.
         measures: Name -> (scenarios,) or (scenarios, n).
+        engine: `MUJOCO` or `LANES`, (scenarios,).
     """
 
     chunk: int
     status: np.ndarray[Any, np.dtype[np.uint8]]
     reason: list[str]
     measures: dict[str, Any]
+    engine: np.ndarray[Any, np.dtype[np.uint8]]
 
 
 def run_chunk(campaign: Campaign, chunk: int) -> Block:
-    """Runs the scenarios of a chunk one after the other; holds one recording at a time."""
+    """Runs the scenarios of a chunk, some of them at a time."""
     indices = campaign.spec.chunk_indices(chunk)
     n = len(campaign.robot.joints)
     measures = {
         name: np.full((len(indices), n) if kind.per_joint else len(indices), np.nan)
         for name, kind in MEASURES.items()
     }
-    status, reasons = np.zeros(len(indices), np.uint8), []
-    for row, index in enumerate(indices):
-        status[row], reason, found = run_one(campaign, index)
-        reasons.append(reason)
-        for name, value in found.items():
+    status, engine = np.zeros(len(indices), np.uint8), np.zeros(len(indices), np.uint8)
+    reasons = []
+    for row, outcome in enumerate(run_together(campaign, indices)):
+        status[row], engine[row] = outcome.status, outcome.engine
+        reasons.append(outcome.reason)
+        for name, value in outcome.measures.items():
             measures[name][row] = value
-    return Block(chunk, status, reasons, measures)
+    return Block(chunk, status, reasons, measures, engine)
 
 
 class Store:
@@ -103,6 +107,7 @@ class Store:
             self.arrays[name][region] = values.reshape(*shape, *values.shape[1:])
         if any(block.reason):
             self.arrays["reason"][region] = np.array(block.reason, object).reshape(shape)
+        self.arrays["engine"][region] = block.engine.reshape(shape)
         self.arrays["status"][region] = block.status.reshape(shape)
 
 
@@ -177,6 +182,8 @@ def _create(work: Path, campaign: Campaign) -> None:
             array(name, dims, shape, block, "f8", np.nan, **attrs)
     flags = {"flag_values": [0, 1, 2, 3], "flag_meanings": STATUS_WORDS}
     array("status", dims, shape, block, "u1", 0, long_name="what became of the scenario", **flags)
+    engines = {"flag_values": [0, MUJOCO, LANES], "flag_meanings": "none mujoco lanes"}
+    array("engine", dims, shape, block, "u1", 0, long_name="what simulated the scenario", **engines)
     array("reason", dims, shape, block, str, "", long_name="why the scenario failed")
     coordinate("joint", ("joint",), joints, long_name="joint, base to tip")
     about = "index of the scenario: dashpot replay DATASET INDEX"

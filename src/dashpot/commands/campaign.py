@@ -16,6 +16,7 @@ from dashpot.campaign.measures import MEASURES
 from dashpot.campaign.scenario import OK, Campaign
 from dashpot.campaign.spec import PRESETS, Spec
 from dashpot.campaign.store import Block, Store, attributes, campaign_of, check_same, create, open_dataset
+from dashpot.campaign.together import run_one
 from dashpot.commands.aside import run_aside
 from dashpot.commands.campaign_view import progress_bar, show_plan, show_replay, show_results, show_supervisor
 from dashpot.commands.shared import check_place
@@ -24,7 +25,6 @@ from dashpot.engine import quiet_engine
 from dashpot.errors import DashpotError, InputError
 from dashpot.output import whole_folder
 from dashpot.plots import save
-from dashpot.simulate import run
 from dashpot.workers import remembered_interrupts
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def replay(options: Replay) -> int:
         for key, value in setting.values.items()
     }
     with whole_folder(options.out) as folder:
-        recording = run_aside(lambda: run(scenario))
+        recording = run_aside(lambda: run_one(plan, scenario))
         recording.settings |= {
             "controller": name,
             "payload_kg": setting.payload.mass,

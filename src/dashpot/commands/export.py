@@ -61,8 +61,8 @@ def _ranges(robot: Robot, config: ControllerConfig) -> dict[str, tuple[float, fl
     """The joints' ranges where the robot has a model; the supervisor checks encoders against them."""
     if robot.model is None:
         return None
-    from dashpot.loop import encoder_ranges
     from dashpot.plant import build
+    from dashpot.prepare import encoder_ranges
 
     return encoder_ranges(build(robot, config.period))
 

@@ -243,8 +243,8 @@ def _prepare(options: Run) -> Job:
     drives = tuple(robot.drives[robot.index(name)] for name in controller.joints)
     plant, ranges = None, {}
     if robot.model is not None or options.via == "sim":
-        from dashpot.loop import encoder_ranges
         from dashpot.plant import build
+        from dashpot.prepare import encoder_ranges
 
         load = Payload(options.payload, payload_offset(options.offset))
         plant = build(robot, config.period, [load] if load.mass > 0 else [])
@@ -331,7 +331,7 @@ def _simulated(options: Run, job: Job) -> tuple[Hardware, Start | None]:
         ),
         gravity_compensation=True,
     )
-    from dashpot.loop import check
+    from dashpot.prepare import check
 
     check(scenario)
     hardware = SimHardware(scenario, link, supervisor=job.supervisor)

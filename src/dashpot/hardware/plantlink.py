@@ -17,8 +17,9 @@ import dashpot._native as _native
 from dashpot.engine import engine
 from dashpot.errors import InputError
 from dashpot.faults import Fault
-from dashpot.loop import carry, loads
+from dashpot.loop import carry
 from dashpot.plant import Plant
+from dashpot.prepare import loads
 from dashpot.recording import CHANNELS, Recording
 from dashpot.sampled import Floats
 from dashpot.script import native_faults

@@ -23,7 +23,7 @@ import dashpot._native as _native
 from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.interface import Sample
 from dashpot.hardware.runtime import Start
-from dashpot.loop import equilibrium
+from dashpot.prepare import equilibrium
 from dashpot.sampled import Floats
 from dashpot.simulate import Scenario
 from dashpot.supervisor import Supervisor

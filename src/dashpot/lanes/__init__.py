@@ -1,4 +1,4 @@
-"""The vectorised arm: many scenarios of one robot at a time, on the lanes of vector registers (docs/lanes.md)."""
+"""The vectorised arm: scenarios of one robot side by side, in lanes of vector registers (docs/lanes.md)."""
 
 from dashpot.lanes.run import WIDTHS, run_lanes, unfit
 from dashpot.lanes.tree import Tree, tree_of

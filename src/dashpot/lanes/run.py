@@ -11,9 +11,10 @@ import numpy as np
 import dashpot._native as _native
 from dashpot.errors import InputError, ModelError
 from dashpot.lanes.tree import Tree, tree_of
-from dashpot.loop import Loop
 from dashpot.plant import Plant, with_payload
+from dashpot.prepare import Prepared
 from dashpot.recording import Recording
+from dashpot.remember import Remembered
 
 if TYPE_CHECKING:
     from dashpot.simulate import Scenario
@@ -39,25 +40,31 @@ def unfit(scenario: Scenario) -> str:
     return ""
 
 
-class _Prepared(Loop):
+class LaneRun(Prepared):
     """A run that the vectorised engine does."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        super().__init__(scenario)
+    def __init__(self, scenario: Scenario, remembered: Remembered | None = None) -> None:
+        """Prepares it; arguments as of `Prepared`.
+
+        Raises:
+            ModelError: Its plant has something that only MuJoCo simulates.
+            InputError: As `dashpot.simulate.run`.
+        """
+        super().__init__(scenario, remembered=remembered)
         period, plant = scenario.trajectory.period, self._plant
         self.tree = tree = tree_kept(scenario.plant)
         changes = sorted(scenario.payload_changes, key=lambda change: change.time)
         loads = [tree, *(tree_kept(with_payload(scenario.plant, c.payload, period)) for c in changes)]
         if any(load.record != tree.record for load in loads):
             raise InputError("a payload changes the arm itself", quantity="payload_changes")
-        bare = tree_kept(with_payload(scenario.plant, None, period)).bodies if self._gravity else None
-        self.steps = round(period / plant.timestep)
+        bare = tree_kept(with_payload(scenario.plant, None, period)).bodies if scenario.carried else None
+        self.timestep, self.steps = plant.timestep, round(period / plant.timestep)
         self.lane = _native.Lane(
             self.core,
             self._drives.view(np.uint8),
             self._events.view(np.uint8),
-            self._data.qpos,
-            self._data.qvel,
+            self._qpos,
+            self._qvel,
             plant.timestep,
             self.steps,
             self.ticks,
@@ -84,7 +91,11 @@ class _Prepared(Loop):
 
 
 def run_lanes(
-    scenarios: Sequence[Scenario], *, width: int | None = None, threads: int = 1
+    scenarios: Sequence[Scenario],
+    *,
+    width: int | None = None,
+    threads: int = 1,
+    remembered: Remembered | None = None,
 ) -> list[Recording]:
     """Runs scenarios side by side.
 
@@ -94,6 +105,7 @@ def run_lanes(
         scenarios: In any order, of any robots.
         width: Lanes, one of `WIDTHS`; None: the widest.
         threads: That share the groups.
+        remembered: As of `dashpot.prepare.Prepared`.
 
     Returns:
         Recordings in the order of the scenarios.
@@ -102,13 +114,19 @@ def run_lanes(
         ModelError: A plant has something that only MuJoCo simulates.
         InputError: As `dashpot.simulate.run`, or no such width.
     """
+    prepared = [LaneRun(scenario, remembered) for scenario in scenarios]
+    launch(prepared, width=width, threads=threads)
+    return [one.finish() for one in prepared]
+
+
+def launch(prepared: Sequence[LaneRun], *, width: int | None = None, threads: int = 1) -> None:
+    """Runs what has been prepared; arguments and errors as of `run_lanes`."""
     width = max(WIDTHS) if width is None else width
     if width not in WIDTHS:
         raise InputError(f"must be one of {', '.join(map(str, WIDTHS))}", quantity="width", value=width)
-    prepared = [_Prepared(scenario) for scenario in scenarios]
-    groups: dict[object, list[_Prepared]] = {}
+    groups: dict[object, list[LaneRun]] = {}
     for one in prepared:
-        key = (one.tree.record.tobytes(), len(one.tree.rotors), one._plant.timestep, one.steps)
+        key = (one.tree.record.tobytes(), len(one.tree.rotors), one.timestep, one.steps)
         groups.setdefault(key, []).append(one)
     work = []
     for group in groups.values():
@@ -116,7 +134,7 @@ def run_lanes(
         size = width * (BATCH if threads > 1 else len(group))
         work += [group[i : i + size] for i in range(0, len(group), size)]
 
-    def go(part: list[_Prepared]) -> None:
+    def go(part: list[LaneRun]) -> None:
         _native.run_lanes(part[0].tree.raw, [one.lane for one in part], width)
 
     if threads > 1 and len(work) > 1:
@@ -125,4 +143,3 @@ def run_lanes(
     else:
         for part in work:
             go(part)
-    return [one.finish() for one in prepared]

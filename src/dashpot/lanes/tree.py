@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -38,8 +37,8 @@ class Tree:
 
     Attributes:
         record: (1,) of `TREE_DTYPE`: what all plants of a robot share, whatever they carry.
-        bodies: Mass [kg], centre of mass [m] and inertia about it (xx yy zz xy xz yz) [kg m^2] of every link, in
-            the frame of its joint, whose z is the axis: (links, 10).
+        bodies: Mass [kg], centre of mass [m] and inertia about it (xx yy zz xy xz yz) [kg m^2] of every link,
+            in the frame of its joint, whose z is the axis: (links, 10).
         rotors: Inertia [kg m^2] and viscous friction [N m s/rad] of every drive, (n, 2).
     """
 
@@ -73,7 +72,7 @@ def tree_of(plant: Plant) -> Tree:
     tree = np.zeros(1, TREE_DTYPE)
     record, count = tree[0], 0
     record["parent"], record["drive"] = -1, -1
-    # Of every body: the link that it belongs to, and the turn and place of its frame in that of the link's joint.
+    # Of every body: the link that it belongs to, and its frame in that of the link's joint.
     frames: list[tuple[int, Floats, Floats]] = [(-1, np.eye(3), np.zeros(3))]
     bodies = np.zeros((_N, NBODY))
     for body in range(1, model.nbody):
@@ -155,7 +154,7 @@ def _matrix(quat: Floats) -> Floats:
 
 
 def _frame(axis: Floats) -> Floats:
-    """A rotation whose third column is an axis; of an axis along x, y or z it has no other numbers than 0 and 1."""
+    """A rotation whose third column is an axis; its numbers are 0 and 1 where that is x, y or z."""
     z = np.asarray(axis, float) / np.linalg.norm(axis)
     k = int(np.argmax(np.abs(z)))
     x = np.eye(3)[(k + 1) % 3]
@@ -171,7 +170,9 @@ def _together(body: Floats, mass: float, centre: Floats, inertia: Floats) -> Flo
         return body
     both = (body[0] * body[1:4] + mass * centre) / whole
     total = _about(body[4:], body[0], body[1:4] - both) + inertia + mass * _spread(centre - both)
-    return np.array([whole, *both, *(total[i, k] for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))])
+    return np.array(
+        [whole, *both, *(total[i, k] for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))]
+    )
 
 
 def _about(parts: Floats, mass: float, arm: Floats) -> Floats:

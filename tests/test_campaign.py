@@ -332,7 +332,7 @@ def test_stops_of_a_decaying_swing():
     speed = 0.5 * np.exp(-pole * time)
     angle = 0.5 / pole * (1 - np.exp(-pole * time))
     never = np.full_like(time, 0.3)
-    found = stops(np.stack([angle, 0.3 * time], 1), np.stack([speed, never], 1), period)
+    found = stops(np.stack([angle, 0.3 * time]), np.stack([speed, never]), period)
     assert found["stop_time"][0] == pytest.approx(math.log(20) / pole, abs=1.1 * period)
     assert found["stop_angle"][0] == pytest.approx(0.5 / pole * 0.95, rel=1e-2)
     assert found["travel"][0] == pytest.approx(0.5 / pole, rel=1e-6)

@@ -25,6 +25,8 @@ typedef struct {
     int qpos[DP_MAX_LINKS], dof[DP_MAX_LINKS]; /* of a joint without a motor */
     double zero[DP_MAX_LINKS];                 /* what qpos says where the joint is at 0, rotor plus spring [rad, m] */
     double place[DP_MAX_LINKS][3], turn[DP_MAX_LINKS][9]; /* row by row */
+    int along[DP_MAX_LINKS][3]; /* where a turn only renames axes, as most do: the parent's axis that each of ours lies */
+    double sense[DP_MAX_LINKS][3]; /* along, and which way, +1 or -1; along[0] = -1 elsewhere */
     double gravity[3];                         /* [m/s^2] */
     /* Joints without a motor; the spring is at rest where the joint is at `rest`. */
     double armature[DP_MAX_LINKS], damping[DP_MAX_LINKS], stiffness[DP_MAX_LINKS], rest[DP_MAX_LINKS];

@@ -68,8 +68,8 @@ DP_INLINE void actuate(Drive &d, V theta, V e, V w, V de, double ahead, double d
 }
 
 // Friction of a closing mechanical brake on the rotor.
-DP_INLINE V braked(Drive &d, V w, double delay, double dt) {
-    const double dead = 0.5 * delay;
+DP_INLINE V braked(Drive &d, V w, V delay, double dt) {
+    const V dead = 0.5 * delay;
     const Mask on = d.brake > 0.0;
     const V share = pick(d.closing < delay, (d.closing - dead) / dead, all(1.0));
     d.closing = pick(on, d.closing + dt, d.closing);

@@ -59,9 +59,14 @@ DP_INLINE void place(const dp_tree &t, int i, V q, Placed *P) {
         for (int k = 0; k < 3; k++) b.p[k] = all(x[k]);
     } else {
         const V *U = P[up].R;
-        for (int r = 0; r < 3; r++) {
-            for (int k = 0; k < 3; k++) R[3 * r + k] = U[3 * r] * T[k] + U[3 * r + 1] * T[3 + k] + U[3 * r + 2] * T[6 + k];
-            b.p[r] = P[up].p[r] + (U[3 * r] * x[0] + U[3 * r + 1] * x[1] + U[3 * r + 2] * x[2]);
+        const int *along = t.along[i];
+        for (int r = 0; r < 3; r++) b.p[r] = P[up].p[r] + (U[3 * r] * x[0] + U[3 * r + 1] * x[1] + U[3 * r + 2] * x[2]);
+        if (along[0] >= 0) {
+            for (int r = 0; r < 3; r++)
+                for (int k = 0; k < 3; k++) R[3 * r + k] = U[3 * r + along[k]] * t.sense[i][k];
+        } else {
+            for (int r = 0; r < 3; r++)
+                for (int k = 0; k < 3; k++) R[3 * r + k] = U[3 * r] * T[k] + U[3 * r + 1] * T[3 + k] + U[3 * r + 2] * T[6 + k];
         }
     }
     for (int r = 0; r < 3; r++) b.z[r] = R[3 * r + 2];

@@ -20,9 +20,13 @@ DP_INLINE V clamp(V x, V limit) { return pick(x > limit, limit, pick(x < -limit,
 DP_INLINE V absolute(V x) { return pick(x < 0.0, -x, x); }
 
 DP_INLINE bool any(Mask m) {
-    bool found = false;
-    for (int l = 0; l < W; l++) found |= m[l] != 0;
-    return found;
+#if defined(__AVX__) && DP_WIDTH == 4
+    return __builtin_ia32_movmskpd256(reinterpret_cast<V>(m)) != 0;
+#else
+    long long found = 0;
+    for (int l = 0; l < W; l++) found |= m[l];
+    return found != 0;
+#endif
 }
 
 const double SHIFT = 6755399441055744.0;  // 1.5 * 2^52: adding and subtracting it rounds to the nearest integer

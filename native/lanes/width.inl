@@ -9,6 +9,7 @@ struct Group {
     dp_lane *lane;
     int count, ticks, drives, steps;
     double dt;
+    V brake_delay = {};
     bool live[W] = {}, carries = false, contacts = false;
     int of[DP_MAX_JOINTS] = {};  // link that a drive moves
     int next_load[W] = {};
@@ -122,6 +123,7 @@ void Group::control(int tick, const V *gravity) {
             d.closing[l] = f->state[j].closing, d.brake_z[l] = f->state[j].brake_z;
             d.has_short |= d.short_damping[l] > 0.0, d.has_brake |= d.brake[l] > 0.0;
         }
+        if (f) brake_delay[l] = f->brake_delay;
         for (int i = 0; f && f->acting && i < f->faults; i++)
             contacts |= f->fault[i].acts && f->fault[i].kind == DP_FAULT_CONTACT;
     }
@@ -146,11 +148,10 @@ void Group::touch(V *on_link) {
 void Group::step(int tick, int k) {
     V H[DP_MAX_LINKS][DP_MAX_LINKS], bias[DP_MAX_LINKS], x[DP_MAX_LINKS], on_rotor[DP_MAX_JOINTS], on_link[DP_MAX_JOINTS];
     const long at = static_cast<long>(tick) * steps + k;
-    const double delay = lane->a.faults ? lane->a.faults->brake_delay : 1.0;
     for (int j = 0; j < drives; j++) {
         Drive &d = drive[j];
         actuate(d, theta[j], e[j], w[j], de[j], k * dt, dt, at, on_rotor[j], on_link[j]);
-        if (d.has_brake) on_rotor[j] -= braked(d, w[j], delay, dt);
+        if (d.has_brake) on_rotor[j] -= braked(d, w[j], brake_delay, dt);
         angle[of[j]] = (theta[j] + e[j]) - t.zero[of[j]];
         rate[of[j]] = w[j] + de[j];
     }

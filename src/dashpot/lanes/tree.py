@@ -14,6 +14,7 @@ from dashpot.plant import Plant
 from dashpot.sampled import Floats
 
 NBODY = 10
+RENAMES = 1e-14  # a turn that is so close to one that only renames axes is that one
 _N = _native.MAX_LINKS
 TREE_DTYPE = np.dtype(
     [
@@ -22,6 +23,8 @@ TREE_DTYPE = np.dtype(
         ("zero", "f8", (_N,)),
         ("place", "f8", (_N, 3)),
         ("turn", "f8", (_N, 3, 3)),
+        ("along", "i4", (_N, 3)),
+        ("sense", "f8", (_N, 3)),
         ("gravity", "f8", (3,)),
         *((name, "f8", (_N,)) for name in ("armature", "damping", "stiffness", "rest")),
     ],
@@ -109,6 +112,13 @@ def tree_of(plant: Plant) -> Tree:
             inertia = own @ np.diag(model.body_inertia[body]) @ own.T
             centre = place + turn @ model.body_ipos[body]
             bodies[link] = _together(bodies[link], float(model.body_mass[body]), centre, inertia)
+    for i in range(count):
+        rounded = np.rint(record["turn"][i])
+        only_renames = np.abs(record["turn"][i] - rounded).max() < RENAMES
+        if only_renames:
+            record["turn"][i] = rounded
+        record["along"][i] = np.abs(rounded).argmax(0) if only_renames else -1
+        record["sense"][i] = rounded.sum(0)
     record["links"] = count
     record["gravity"] = model.opt.gravity
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY:

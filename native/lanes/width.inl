@@ -229,6 +229,7 @@ static void forward(const dp_tree *tree, const double *body, const double *q, co
                     double *qdd, double *mass, double *bias_out, int count) {
     const dp_tree &t = *tree;
     const int n = t.links;
+    for (size_t i = 0; mass && i < static_cast<size_t>(count) * n * n; i++) mass[i] = 0.0;  // links that no path joins
     for (int first = 0; first < count; first += W) {
         Body b[DP_MAX_LINKS];
         V at[DP_MAX_LINKS], rate[DP_MAX_LINKS], x[DP_MAX_LINKS], H[DP_MAX_LINKS][DP_MAX_LINKS], bias[DP_MAX_LINKS];

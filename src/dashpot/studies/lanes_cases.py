@@ -70,7 +70,8 @@ def random_arm(rng: np.random.Generator, folder: Path) -> Robot:
 
     roots = "".join(body(k) for k in range(joints) if parents[k] == -1)
     pull = numbers(np.array([*rng.uniform(-2, 2, 2), -9.81]))
-    text = f'<mujoco><option gravity="{pull}"/><worldbody><body euler="{turn()}">{roots}</body></worldbody></mujoco>'
+    world = f'<worldbody><body euler="{turn()}">{roots}</body></worldbody>'
+    text = f'<mujoco><option gravity="{pull}"/>{world}</mujoco>'
     path = folder / f"arm{rng.integers(10**9)}.xml"
     path.write_text(text)
     names = [j for j in order if j in driven]

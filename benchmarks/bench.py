@@ -1,5 +1,5 @@
 """Speed of dashpot as ratios measured in one run: closed loop, step, allocation, threads,
-certificate, design of an arm, campaign, log, real-time loop.
+certificate, design of an arm, campaign, vectorised arm, log, real-time loop.
 
     python benchmarks/bench.py [--json FILE] [--check] [--only PART ...]
 
@@ -32,6 +32,7 @@ import rivals
 from campaign import campaign
 from certify import certificate
 from design import design
+from lanes import lanes
 from log import log
 from measure import SETS, Rows, Timed, bytes_in_use, calls, interleave
 from rich.console import Console
@@ -279,6 +280,7 @@ _PARTS = (
     certificate,
     design,
     campaign,
+    lanes,
     log,
     realtime.run,
     realtime.franka,

@@ -1,0 +1,175 @@
+"""The vectorised arm against raw ``mj_step``, MuJoCo's own batch, and Pinocchio's forward dynamics alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import mujoco.batch
+import numpy as np
+from measure import Rows, Timed, interleave
+
+import dashpot._native as _native
+from dashpot.controller import Controller, load_controller
+from dashpot.lanes.run import WIDTHS, LaneRun, tree_kept
+from dashpot.payload import Payload
+from dashpot.plant import Plant, build
+from dashpot.release import tracking_events
+from dashpot.robot import Robot
+from dashpot.sampled import Floats
+from dashpot.simulate import Scenario
+from dashpot.trajectory import multisine
+
+COUNT = 16  # scenarios side by side
+SECONDS = 0.12  # of each
+ROUNDS = 8
+LEAST = {4: 10.0, 8: 20.0}  # times raw mj_step, closed loop of fr3
+ARMS = (("fr3", "fr3"), ("iiwa14", "iiwa14"), ("k807", "k807-wrist"))
+
+
+def lanes(rows: Rows) -> None:
+    """Seconds of CPU per physics step of one robot; whole closed loop, noise and recording on."""
+    for name, law in ARMS:
+        robot, config = Robot.load(name), load_controller(law)
+        plant = build(robot, config.period, [Payload(1.0, (0.0, 0.0, 0.1))])
+        controller = Controller.from_config(config, robot.drives)
+        scenarios = []
+        for seed in range(COUNT):
+            path = multisine(robot.home, SECONDS, config.period, seed, amplitude=0.2, lead_in=config.period)
+            scenarios.append(
+                Scenario(plant, controller, path, tracking_events(config, path.start), seed=seed)
+            )
+        steps = COUNT * len(path.position) * round(config.period / plant.timestep)
+        functions: dict[str, Timed] = {"raw": _raw(plant, steps)}
+        for width in WIDTHS:
+            functions[f"lanes{width}"] = _lanes(scenarios, width, steps)
+        if name == "fr3":
+            functions |= {"batch": _batch(plant, steps // COUNT), **_dynamics(plant)}
+        best = interleave(functions, ROUNDS)
+        about = f"{len(config.joints)} of {len(robot.joints)} joints, physics {plant.timestep * 1e6:.0f} us"
+        rows.section("Vectorised arm against raw mj_step", f"{name}, {COUNT} scenarios, {about}")
+        rows.add(f"lanes_{name}_raw", "raw mj_step, per physics step", best["raw"] * 1e6, "us")
+        for width, words in WIDTHS.items():
+            ratio = best["raw"] / best[f"lanes{width}"]
+            least = LEAST.get(width) if name == "fr3" else None
+            note = f"({1e6 * np.median(best[f'lanes{width}']):.3f} us a step)"
+            rows.add(
+                f"lanes_{name}_{width}",
+                f"closed loop, {width} lanes ({words})",
+                ratio,
+                least=least,
+                note=note,
+            )
+        if name == "fr3":
+            _rivals(rows, best)
+
+
+def _rivals(rows: Rows, best: dict[str, Floats]) -> None:
+    rows.add("lanes_batch", "mujoco.batch, no controller", best["raw"] / best["batch"])
+    rows.add("lanes_dynamics", "forward dynamics of the rigid links alone", best["dynamics"] * 1e6, "us")
+    if "pinocchio" in best:
+        note = "(abaInParallel on one thread; no rotors, drives or sensors)"
+        rows.add("lanes_pinocchio", "the same by Pinocchio", best["pinocchio"] * 1e6, "us", note=note)
+
+
+def _cpu(act: Callable[[], object], count: int) -> float:
+    begin = time.process_time()
+    act()
+    return (time.process_time() - begin) / count
+
+
+def _raw(plant: Plant, steps: int) -> Timed:
+    data = mujoco.MjData(plant.model)
+
+    def go() -> float:
+        mujoco.mj_resetData(plant.model, data)
+        data.qpos[plant.rotor_qpos] = plant.robot.home
+        mujoco.mj_forward(plant.model, data)
+        return _cpu(lambda: mujoco.mj_step(plant.model, data, nstep=steps), steps)
+
+    return go
+
+
+def _batch(plant: Plant, steps: int) -> Timed:
+    many = mujoco.batch.Batch(plant.model, COUNT, nthread=1)
+
+    def go() -> float:
+        many.reset()
+        return _cpu(lambda: many.step(nstep=steps), steps * COUNT)
+
+    return go
+
+
+def _lanes(scenarios: list[Scenario], width: int, steps: int) -> Timed:
+    def go() -> float:
+        prepared = [LaneRun(scenario) for scenario in scenarios]
+        raw, runs = prepared[0].tree.raw, [one.lane for one in prepared]
+        seconds = _cpu(lambda: _native.run_lanes(raw, runs, width), steps)
+        if any(run.diverged_tick >= 0 for run in runs):
+            raise RuntimeError("the benchmark's closed loop diverged")
+        return seconds
+
+    return go
+
+
+def _dynamics(plant: Plant) -> dict[str, Timed]:
+    """Forward dynamics of random states, ours and Pinocchio's if it is installed; they must agree."""
+    tree, count = tree_kept(plant), 4096
+    rng, n = np.random.default_rng(0), tree.links
+    q, qd, torque = (scale * rng.uniform(-1, 1, (count, n)) for scale in (3.0, 3.0, 50.0))
+    body, found = np.repeat(tree.bodies[None], count, axis=0), np.empty((count, n))
+    width = max(WIDTHS)
+
+    def ours() -> float:
+        return _cpu(
+            lambda: _native.forward_dynamics(tree.raw, body, q, qd, torque, found, None, None, width), count
+        )
+
+    functions: dict[str, Timed] = {"dynamics": ours}
+    try:
+        import pinocchio as pin
+    except ImportError:
+        return functions
+    model = rigid_model(pin, plant)
+    pool, theirs = pin.ModelPool(model, 1), np.zeros((n, count))
+    columns = [np.asfortranarray(part.T) for part in (q, qd, torque)]
+    ours()
+    pin.abaInParallel(1, pool, *columns, theirs)
+    if not np.abs(theirs.T - found).max() < 1e-9 * np.abs(found).max():
+        raise RuntimeError("Pinocchio's arm is another one")
+    functions["pinocchio"] = lambda: _cpu(lambda: pin.abaInParallel(1, pool, *columns, theirs), count)
+    return functions
+
+
+def rigid_model(pin: Any, plant: Plant) -> Any:
+    """The links of a plant without slides in Pinocchio, from MuJoCo's numbers."""
+    model, found = plant.model, pin.Model()
+    found.gravity = pin.Motion(model.opt.gravity, np.zeros(3))
+    springs = {int(model.dof_jntid[dof]) for dof in plant.spring_dof}
+    frames = [(0, pin.SE3.Identity())]
+    for body in range(1, model.nbody):
+        joint, at = frames[model.body_parentid[body]]
+        at = at * _pose(pin, model.body_pos[body], model.body_quat[body])
+        for j in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            if j not in springs:
+                anchor = pin.SE3(np.eye(3), model.jnt_pos[j])
+                hinge = pin.JointModelRevoluteUnaligned(model.jnt_axis[j])
+                joint = found.addJoint(joint, hinge, at * anchor, model.joint(j).name)
+                at = anchor.inverse()
+        frames.append((joint, at))
+        if joint and model.body_mass[body] > 0:
+            own = pin.Inertia(model.body_mass[body], np.zeros(3), np.diag(model.body_inertia[body]))
+            found.appendBodyToJoint(
+                joint, own, at * _pose(pin, model.body_ipos[body], model.body_iquat[body])
+            )
+    return found
+
+
+def _pose(pin: Any, place: Floats, quat: Floats) -> Any:
+    w, x, y, z = quat
+    return pin.SE3(pin.Quaternion(w, x, y, z).matrix(), place)
+
+
+__all__ = ["lanes"]

@@ -8,7 +8,7 @@ FOLDERS := $(shell find src -type d -not -name __pycache__)
 
 .PHONY: demo test lint bench clean \
         evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms \
-        evidence-readiness evidence-export evidence-franka evidence-studio
+        evidence-readiness evidence-export evidence-franka evidence-studio evidence-lanes
 
 demo: $(VENV)/.installed
 	$(BIN)/dashpot reproduce --out out/paper
@@ -73,6 +73,12 @@ evidence-franka: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[franka]'
 	$(BIN)/python -m dashpot.studies.franka > docs/evidence/franka.json.part
 	mv docs/evidence/franka.json.part docs/evidence/franka.json
+
+# Half an hour on two cores: the vectorised arm against MuJoCo's limit, and the readiness campaign on both engines.
+evidence-lanes: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[campaign]'
+	$(BIN)/python -m dashpot.studies.lanes > docs/evidence/lanes.json.part
+	mv docs/evidence/lanes.json.part docs/evidence/lanes.json
 
 # Ten minutes: the studio with a page open in a headless Chromium, its processor time and memory.
 evidence-studio: $(VENV)/.test

@@ -1,0 +1,207 @@
+"""The vectorised arm at length: against MuJoCo at its own converged step, and a campaign end to end.
+
+``python -m dashpot.studies.lanes`` prints the result as JSON. Scenarios are random in pose, motion, payload
+and noise. Of MuJoCo at steps h, h/2 and h/4 the error halves with the step, as its order says; the limit is
+``2 x(h/4) - x(h/2)``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dashpot.campaign.execute import execute
+from dashpot.campaign.measures import MEASURES
+from dashpot.campaign.scenario import Campaign
+from dashpot.campaign.spec import Spec
+from dashpot.campaign.store import Store, create, open_dataset
+from dashpot.commands.campaign_view import progress_bar
+from dashpot.controller import Controller, load_controller
+from dashpot.engine import quiet_engine
+from dashpot.lanes import WIDTHS, run_lanes
+from dashpot.payload import Payload
+from dashpot.plant import build, with_timestep
+from dashpot.release import tracking_events
+from dashpot.robot import Robot
+from dashpot.sampled import Floats
+from dashpot.simulate import Scenario, run
+from dashpot.trajectory import multisine
+from dashpot.workers import cores, each
+
+ARMS = {"fr3": ("fr3", 3.0), "iiwa14": ("iiwa14", 7.0), "k807": ("k807-wrist", 4.5)}
+"""Robot -> controller and largest payload [kg]."""
+SECONDS = 2.0
+SEED = 1
+PARTS = (1, 2, 4)  # of the chosen step
+TASK = 10  # scenarios that a worker runs at a time
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some scenarios of an arm."""
+
+    robot: str
+    first: int
+    count: int
+
+
+def agreement(task: Task) -> list[tuple[float, ...]]:
+    """Of every scenario: largest angle between the engines at one step, both errors against the limit
+    (anywhere, and at the end), and MuJoCo's steps to it [rad]."""
+    quiet_engine()
+    found: list[tuple[float, ...]] = []
+    for index in range(task.first, task.first + task.count):
+        scenarios = _scenarios(task.robot, index)
+        coarse, middle, fine = (run(scenario).link_position for scenario in scenarios)
+        ours = run_lanes(scenarios[:1])[0].link_position
+        limit = 2 * fine - middle
+        found.append(
+            (
+                _most(ours - coarse),
+                _most(ours - limit),
+                _most(coarse - limit),
+                _most((ours - limit)[-1:]),
+                _most(coarse - middle),
+                _most(middle - fine),
+                float(np.ptp(ours, axis=0).max()),
+            )
+        )
+    return found
+
+
+def _most(angles: Floats) -> float:
+    return float(np.abs(angles).max())
+
+
+def _scenarios(name: str, index: int) -> list[Scenario]:
+    law, heaviest = ARMS[name]
+    rng = np.random.default_rng([SEED, sorted(ARMS).index(name), index])
+    robot, config = Robot.load(name), load_controller(law)
+    payload = Payload(float(rng.uniform(0, heaviest)), tuple(rng.uniform(-0.1, 0.1, 3)))
+    plant = build(robot, config.period, [payload])
+    low, high = (np.clip(plant.drives[key], -3.0, 3.0) for key in ("stop_lower", "stop_upper"))
+    pose = np.clip(np.array(robot.home) + rng.uniform(-0.6, 0.6, len(robot.home)), low + 0.4, high - 0.4)
+    path = multisine(pose.tolist(), SECONDS - 0.1, config.period, int(rng.integers(2**31)),
+                     amplitude=float(rng.uniform(0.05, 0.3)), lead_in=0.1)  # fmt: skip
+    scenario = Scenario(
+        plant,
+        Controller.from_config(config, robot.drives),
+        path,
+        tracking_events(config, path.start),
+        seed=int(rng.integers(2**31)),
+        gravity_compensation=True,
+    )
+    return [replace(scenario, plant=with_timestep(plant, plant.timestep / parts)) for parts in PARTS]
+
+
+def agreements(count: int, workers: int) -> dict[str, Any]:
+    """`agreement` of so many scenarios of every bundled arm, summed up [rad]."""
+    tasks = [Task(name, first, min(TASK, count - first)) for name in ARMS for first in range(0, count, TASK)]
+    results = each(agreement, tasks, workers)
+    found = {}
+    for name in ARMS:
+        parts = [part for task, part in zip(tasks, results, strict=True) if task.robot == name]
+        rows = np.concatenate([np.array(part) for part in parts])
+        same, ours, theirs, last, one, two, way = rows.T
+        order = np.log2(one / two)
+        found[name] = {
+            "scenarios": len(rows),
+            "engines_at_one_step": _round(same.max()),
+            "error_of_lanes": _quantiles(ours),
+            "error_of_mujoco": _quantiles(theirs),
+            "error_of_lanes_at_the_end": _quantiles(last),
+            "order_median": _round(float(np.median(order))),
+            "order_5_95": [_round(float(q)) for q in np.quantile(order, (0.05, 0.95))],
+            "moved_at_least": _round(way.min()),
+        }
+    return found
+
+
+def _quantiles(values: Floats) -> dict[str, float]:
+    shares = {"median": 0.5, "99 %": 0.99, "max": 1.0}
+    return {name: _round(float(np.quantile(values, share))) for name, share in shares.items()}
+
+
+def readiness(scenarios: int | None, compared: int, workers: int) -> dict[str, Any]:
+    """The readiness campaign on both engines: wall-clock time, and whether they say the same.
+
+    Args:
+        scenarios: On the vectorised engine; None: all.
+        compared: On both, in chunks drawn at random.
+        workers: Processes.
+    """
+    spec = Spec.load("readiness")
+    order = np.random.default_rng(SEED).permutation(spec.chunks).tolist()
+    sizes = np.cumsum([len(spec.chunk_indices(chunk)) for chunk in order])
+    some = order[: int(np.searchsorted(sizes, compared)) + 1]
+    many = order if scenarios is None else order[: int(np.searchsorted(sizes, scenarios)) + 1]
+    with tempfile.TemporaryDirectory() as folder:
+        seconds, data = {}, {}
+        for engine, chunks in (("lanes", many), ("mujoco", some)):
+            campaign, out = Campaign(replace(spec, engine=engine)), Path(folder) / f"{engine}.zarr"
+            create(out, campaign)
+            store = Store(out, campaign)
+            begin = time.perf_counter()
+            with progress_bar(sum(len(spec.chunk_indices(chunk)) for chunk in chunks), 0) as advance:
+                execute(campaign, store, workers=workers, advance=advance, chunks=chunks)
+            took = time.perf_counter() - begin
+            store.close()
+            seconds[engine] = took / sum(len(spec.chunk_indices(chunk)) for chunk in chunks)
+            with open_dataset(out) as dataset:
+                data[engine] = dataset.load()
+    both = (data["mujoco"]["status"].values > 0) & (data["lanes"]["status"].values > 0)
+    differ = {}
+    for name in MEASURES:
+        ours, theirs = (data[engine][name].values[both] for engine in ("lanes", "mujoco"))
+        gone = np.isnan(ours) != np.isnan(theirs)
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(ours - theirs) > 1e-6 * np.maximum(1e-3, np.abs(theirs))
+        if count := int((gone | (apart & (ours != theirs))).reshape(len(ours), -1).any(1).sum()):
+            differ[name] = count
+    return {
+        "lanes_scenarios": int((data["lanes"]["status"].values > 0).sum()),
+        "lanes_seconds": _round(seconds["lanes"] * int((data["lanes"]["status"].values > 0).sum())),
+        "lanes_ms_per_scenario": _round(1e3 * seconds["lanes"]),
+        "mujoco_ms_per_scenario": _round(1e3 * seconds["mujoco"]),
+        "times_faster": _round(seconds["mujoco"] / seconds["lanes"]),
+        "workers": workers,
+        "compared": int(both.sum()),
+        "scenarios_that_differ_by_measure": differ,
+    }
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenarios", type=int, default=1000, help="of every arm against MuJoCo's limit")
+    parser.add_argument("--campaign", type=int, default=None, help="scenarios of the campaign (default: all)")
+    parser.add_argument("--compared", type=int, default=1000, help="of them on both engines")
+    parser.add_argument("--workers", type=int, default=cores())
+    options = parser.parse_args(arguments)
+    said = sys.argv[1:] if arguments is None else arguments
+    found: dict[str, Any] = {
+        "command": shlex.join(["python", "-m", "dashpot.studies.lanes", *said]),
+        "seed": SEED,
+        "seconds": SECONDS,
+        "lanes": {str(width): words for width, words in WIDTHS.items()},
+        "agreement_rad": agreements(options.scenarios, options.workers),
+        "readiness": readiness(options.campaign, options.compared, options.workers),
+    }
+    print(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main()

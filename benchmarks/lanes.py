@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
+import subprocess
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -14,6 +19,7 @@ from measure import Rows, Timed, interleave
 import dashpot._native as _native
 from dashpot.controller import Controller, load_controller
 from dashpot.lanes.run import WIDTHS, LaneRun, tree_kept
+from dashpot.lanes.tree import Tree
 from dashpot.payload import Payload
 from dashpot.plant import Plant, build
 from dashpot.release import tracking_events
@@ -26,6 +32,8 @@ COUNT = 16  # scenarios side by side
 SECONDS = 0.12  # of each
 ROUNDS = 8
 LEAST = {4: 10.0, 8: 20.0}  # times raw mj_step, closed loop of fr3
+OPERATIONS: list[int] = []  # of the forward dynamics, as counted
+SOURCES = Path(__file__).parent
 ARMS = (("fr3", "fr3"), ("iiwa14", "iiwa14"), ("k807", "k807-wrist"))
 
 
@@ -69,6 +77,13 @@ def lanes(rows: Rows) -> None:
 def _rivals(rows: Rows, best: dict[str, Floats]) -> None:
     rows.add("lanes_batch", "mujoco.batch, no controller", best["raw"] / best["batch"])
     rows.add("lanes_dynamics", "forward dynamics of the rigid links alone", best["dynamics"] * 1e6, "us")
+    rows.add(
+        "lanes_limit",
+        "the same, were the core never to wait",
+        best["limit"] * 1e6,
+        "us",
+        note=f"({OPERATIONS[0]} operations on {max(WIDTHS)} lanes at its best rate)",
+    )
     if "pinocchio" in best:
         note = "(abaInParallel on one thread; no rotors, drives or sensors)"
         rows.add("lanes_pinocchio", "the same by Pinocchio", best["pinocchio"] * 1e6, "us", note=note)
@@ -116,18 +131,20 @@ def _lanes(scenarios: list[Scenario], width: int, steps: int) -> Timed:
 
 def _dynamics(plant: Plant) -> dict[str, Timed]:
     """Forward dynamics of random states, ours and Pinocchio's if it is installed; they must agree."""
-    tree, count = tree_kept(plant), 4096
+    tree, count, again = tree_kept(plant), 32, 100  # few, again and again: from the caches
     rng, n = np.random.default_rng(0), tree.links
     q, qd, torque = (scale * rng.uniform(-1, 1, (count, n)) for scale in (3.0, 3.0, 50.0))
     body, found = np.repeat(tree.bodies[None], count, axis=0), np.empty((count, n))
     width = max(WIDTHS)
 
     def ours() -> float:
-        return _cpu(
-            lambda: _native.forward_dynamics(tree.raw, body, q, qd, torque, found, None, None, width), count
-        )
+        def many() -> None:
+            for _ in range(again):
+                _native.forward_dynamics(tree.raw, body, q, qd, torque, found, None, None, width)
 
-    functions: dict[str, Timed] = {"dynamics": ours}
+        return _cpu(many, count * again)
+
+    functions: dict[str, Timed] = {"dynamics": ours, "limit": _limit(tree, width)}
     try:
         import pinocchio as pin
     except ImportError:
@@ -139,8 +156,37 @@ def _dynamics(plant: Plant) -> dict[str, Timed]:
     pin.abaInParallel(1, pool, *columns, theirs)
     if not np.abs(theirs.T - found).max() < 1e-9 * np.abs(found).max():
         raise RuntimeError("Pinocchio's arm is another one")
-    functions["pinocchio"] = lambda: _cpu(lambda: pin.abaInParallel(1, pool, *columns, theirs), count)
+
+    def pinocchio() -> float:
+        def many() -> None:
+            for _ in range(again):
+                pin.abaInParallel(1, pool, *columns, theirs)
+
+        return _cpu(many, count * again)
+
+    functions["pinocchio"] = pinocchio
     return functions
+
+
+def _limit(tree: Tree, width: int) -> Timed:
+    """Operations that one state takes, counted, over those that this core does per second and lane."""
+    native = SOURCES.parent / "native"
+    flags = ["-std=c++17", "-O3", "-fPIC", "-shared", "-Wno-psabi", f"-I{native}", f"-I{native / 'lanes'}"]
+    flags += [f"-I{SOURCES}", *{4: ["-mavx2"], 8: ["-mavx512f", "-mprefer-vector-width=512"]}.get(width, [])]
+    compiler = os.environ.get("CXX", "c++")
+    with tempfile.TemporaryDirectory() as folder:
+        loaded = []
+        for name, more in (("count", '-DDP_TYPES="lanes_limits.h"'), ("peak", f"-DDP_WIDTH={width}")):
+            library = Path(folder) / f"{name}.so"
+            source = str(SOURCES / "lanes_limits.cpp")
+            subprocess.run([compiler, *flags, more, source, "-o", str(library)], check=True)
+            loaded.append(ctypes.CDLL(str(library)))
+    count, peak = loaded
+    found, q = np.zeros(4, np.int64), np.linspace(-1, 1, tree.links)
+    count.count(*(ctypes.c_void_p(part.ctypes.data) for part in (tree.raw, tree.bodies, q, found)))
+    OPERATIONS[:] = [int(found.sum())]
+    peak.peak.restype, peak.peak.argtypes = ctypes.c_double, [ctypes.c_double]
+    return lambda: float(found.sum()) / peak.peak(1.0) / width
 
 
 def rigid_model(pin: Any, plant: Plant) -> Any:

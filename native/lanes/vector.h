@@ -4,6 +4,12 @@
 #include <cmath>
 #include <cstring>
 
+#define DP_INLINE static inline __attribute__((always_inline))
+
+#ifdef DP_TYPES  // others in the place of these, to count operations: benchmarks/lanes_limits.cpp
+#include DP_TYPES
+#else
+
 namespace {
 
 enum { W = DP_WIDTH };
@@ -12,12 +18,8 @@ typedef double V __attribute__((vector_size(8 * DP_WIDTH)));
 typedef decltype(V{} < V{}) Mask;  // all bits of a lane, or none
 typedef long long Bits __attribute__((vector_size(8 * DP_WIDTH)));
 
-#define DP_INLINE static inline __attribute__((always_inline))
-
 DP_INLINE V all(double x) { return V{} + x; }
 DP_INLINE V pick(Mask m, V a, V b) { return m ? a : b; }
-DP_INLINE V clamp(V x, V limit) { return pick(x > limit, limit, pick(x < -limit, -limit, x)); }
-DP_INLINE V absolute(V x) { return pick(x < 0.0, -x, x); }
 
 DP_INLINE bool any(Mask m) {
 #if defined(__AVX__) && DP_WIDTH == 4
@@ -28,6 +30,15 @@ DP_INLINE bool any(Mask m) {
     return found != 0;
 #endif
 }
+
+}  // namespace
+
+#endif
+
+namespace {
+
+DP_INLINE V clamp(V x, V limit) { return pick(x > limit, limit, pick(x < -limit, -limit, x)); }
+DP_INLINE V absolute(V x) { return pick(x < 0.0, -x, x); }
 
 const double SHIFT = 6755399441055744.0;  // 1.5 * 2^52: adding and subtracting it rounds to the nearest integer
 

@@ -77,8 +77,10 @@ evidence-franka: $(VENV)/.installed
 # Half an hour on two cores: the vectorised arm against MuJoCo's limit, and the readiness campaign on both engines.
 evidence-lanes: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[campaign]'
-	$(BIN)/python -m dashpot.studies.lanes > docs/evidence/lanes.json.part
-	mv docs/evidence/lanes.json.part docs/evidence/lanes.json
+	for part in agreement readiness; do \
+	  $(BIN)/python -m dashpot.studies.lanes $$part > docs/evidence/lanes-$$part.json.part && \
+	  mv docs/evidence/lanes-$$part.json.part docs/evidence/lanes-$$part.json || exit 1; \
+	done
 
 # Ten minutes: the studio with a page open in a headless Chromium, its processor time and memory.
 evidence-studio: $(VENV)/.test

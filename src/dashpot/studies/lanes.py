@@ -1,8 +1,8 @@
 """The vectorised arm at length: against MuJoCo at its own converged step, and a campaign end to end.
 
-``python -m dashpot.studies.lanes`` prints the result as JSON. Scenarios are random in pose, motion, payload
-and noise. Of MuJoCo at steps h, h/2 and h/4 the error halves with the step, as its order says; the limit is
-``2 x(h/4) - x(h/2)``.
+``python -m dashpot.studies.lanes agreement`` (or ``readiness``) prints the result as JSON. Scenarios are
+random in pose, motion, payload and noise. Of MuJoCo at steps h, h/2 and h/4 the error halves with the step,
+as its order says; the limit is ``2 x(h/4) - x(h/2)``.
 """
 
 from __future__ import annotations
@@ -186,6 +186,7 @@ def _round(value: float) -> float:
 def main(arguments: list[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("part", choices=["agreement", "readiness"])
     parser.add_argument("--scenarios", type=int, default=1000, help="of every arm against MuJoCo's limit")
     parser.add_argument("--campaign", type=int, default=None, help="scenarios of the campaign (default: all)")
     parser.add_argument("--compared", type=int, default=1000, help="of them on both engines")
@@ -195,11 +196,13 @@ def main(arguments: list[str] | None = None) -> None:
     found: dict[str, Any] = {
         "command": shlex.join(["python", "-m", "dashpot.studies.lanes", *said]),
         "seed": SEED,
-        "seconds": SECONDS,
         "lanes": {str(width): words for width, words in WIDTHS.items()},
-        "agreement_rad": agreements(options.scenarios, options.workers),
-        "readiness": readiness(options.campaign, options.compared, options.workers),
     }
+    if options.part == "agreement":
+        found["seconds"] = SECONDS
+        found["rad"] = agreements(options.scenarios, options.workers)
+    else:
+        found |= readiness(options.campaign, options.compared, options.workers)
     print(json.dumps(found, indent=1))
 
 

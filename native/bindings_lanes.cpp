@@ -33,9 +33,17 @@ const dp_lanes &lanes_of(int width) {
     throw std::invalid_argument("this machine has no registers of that width");
 }
 
+// The last group may be a small one, and a wide step costs more than a narrow one.
+const dp_lanes &narrowest(int count) {
+    int i = 0;
+    while (dp_lanes_at(i + 1) && dp_lanes_at(i)->width < count)
+        i++;
+    return *dp_lanes_at(i);
+}
+
 void run_lanes(Bytes tree, nb::list scenarios, int width) {
     const dp_tree &t = tree_of(tree);
-    const dp_lanes &lanes = lanes_of(width);
+    lanes_of(width);
     std::vector<Scenario *> all;
     for (nb::handle h : scenarios) {
         Scenario *s = nb::cast<Scenario *>(h);
@@ -60,7 +68,7 @@ void run_lanes(Bytes tree, nb::list scenarios, int width) {
         group.clear();
         for (size_t l = 0; l < count; l++)
             group.push_back(all[first + l]->lane);
-        lanes.run(&t, group.data(), static_cast<int>(count));
+        narrowest(static_cast<int>(count)).run(&t, group.data(), static_cast<int>(count));
         for (size_t l = 0; l < count; l++)
             all[first + l]->lane.a.diverged_tick = group[l].a.diverged_tick;
     }

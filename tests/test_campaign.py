@@ -126,7 +126,7 @@ def test_the_dataset_holds_what_run_gives_for_hand_made_scenarios(spec, tmp_path
     plant = build(robot, config.period, [Payload(0.2)])
     law = Controller.from_config(config, robot.drives)
     scenario = Scenario(plant, law, path, [Event(0.2, "all", "position_loop", False)], seed=3)
-    recording = run(scenario) if engine == "mujoco" else run_lanes([scenario], width=1)[0]
+    recording = run(scenario) if engine == "mujoco" else run_lanes([scenario], width=2)[0]
     expected = measure(recording, 0.2, np.array([30.0]), ["joint"], np.array([np.inf]), np.array([1e3]))
     with open_dataset(out) as dataset:
         assert dataset.sizes == {"payload": 3, "gains_R": 2, "seed": 3, "joint": 1}

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dashpot._native as _native
+from dashpot.compensation import compensation
 from dashpot.engine import engine
-from dashpot.prepare import Prepared, compensation
+from dashpot.prepare import Prepared
 from dashpot.sampled import Floats
 
 if TYPE_CHECKING:

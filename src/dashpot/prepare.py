@@ -7,19 +7,18 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 import dashpot._native as _native
+from dashpot.compensation import Gravity, compensation
 from dashpot.controller import MODES
-from dashpot.engine import engine
 from dashpot.equilibrium import Equilibrium, settle
 from dashpot.errors import InputError
 from dashpot.plant import Plant, with_payload, with_timestep
 from dashpot.recording import CHANNELS, Recording
 from dashpot.remember import Remembered
-from dashpot.sampled import BLOCK_DTYPE, Floats, empty_block
+from dashpot.sampled import BLOCK_DTYPE, empty_block
 from dashpot.script import Clock, native_faults, tick_of
 from dashpot.supervisor import STATES, SupervisorSettings, decisions, native_guard
 from dashpot.thresholds import watch_records
@@ -30,41 +29,6 @@ if TYPE_CHECKING:
 EVENT_DTYPE = np.dtype([("tick", "i4"), ("joint", "i4"), ("kind", "i4"), ("value", "i4")])
 BEYOND = 0.1  # [rad] past the stops, which yield
 _KINDS = {"mode": 0, "position_loop": 1, "warm_start": 2}
-
-
-class Gravity:
-    """A robot's own gravity compensation: what its bare links weigh at the encoders' angles.
-
-    Attributes:
-        native: As the native loop wants it.
-    """
-
-    def __init__(self, bare: Plant) -> None:
-        if bare.model.body_gravcomp.any():
-            raise InputError(
-                "is in the model already, as gravcomp of bodies; take it out of one of them",
-                file=bare.robot.file,
-                quantity="gravity_compensation",
-            )
-        self._model, self._data = bare.model, mujoco.MjData(bare.model)
-        mujoco.mj_forward(self._model, self._data)  # at rest; only angles change from here on
-        self.native = _native.Gravity(
-            engine("mj_kinematics"),
-            engine("mj_comPos"),
-            engine("mj_rne"),
-            self._model._address,
-            self._data._address,
-            self._data.qpos,
-            bare.rotor_qpos,
-            bare.rotor_dof,
-            self._model.nv,
-        )
-
-    def torque(self, position: Floats) -> Floats:
-        """That holds the bare arm at rest at rotor angles (n,) [rad]: (n,) [N m]."""
-        out = np.empty(len(position))
-        self.native.torque(np.ascontiguousarray(position, float), out)
-        return out
 
 
 def _events(scenario: Scenario) -> NDArray[np.void]:
@@ -91,11 +55,6 @@ def equilibrium(scenario: Scenario, plant: Plant | None = None) -> Equilibrium |
     """Rest at the first reference, from which a scenario starts; None: there is none."""
     plant = plant or scenario.plant
     return _equilibrium(scenario, plant, _events(scenario))
-
-
-def compensation(scenario: Scenario, plant: Plant) -> Gravity | None:
-    """The robot's own gravity compensation, where the scenario has it switched on."""
-    return Gravity(with_payload(plant, None, scenario.trajectory.period)) if scenario.carried else None
 
 
 def _equilibrium(

@@ -20,6 +20,7 @@ from dashpot.studio.choices import RIVALS, rival_of
 from dashpot.studio.live import LiveArm, equilibrium_state
 from dashpot.studio.references import Hold, Move, Play, go_to, wander
 from dashpot.studio.ring import envelope
+from dashpot.studio.scenes import SCENES, play
 from dashpot.studio.session import Session
 from dashpot.supervisor import SupervisorSettings
 from dashpot.trajectory import multisine
@@ -73,7 +74,7 @@ def test_live_is_simulate_bit_for_bit(name: str, controller: str) -> None:
         if arm.tick == fails:
             arm.begin(fault)
         if arm.tick == lost:
-            assert arm.carry(heavy, [HEAVY])
+            arm.carry(heavy, [HEAVY])
         until = min(mark for mark in marks if mark > arm.tick)
         seen.append(arm.go_on(min(int(rng.integers(1, 30)), until - arm.tick)))
     got = np.concatenate([window.record for window in seen], axis=1)
@@ -81,6 +82,27 @@ def test_live_is_simulate_bit_for_bit(name: str, controller: str) -> None:
         np.testing.assert_array_equal(values, getattr(wanted, channel), err_msg=channel)
     np.testing.assert_array_equal(np.concatenate([w.status for w in seen]), wanted.status)
     assert "track" != arm.state == wanted.settings["supervisor"]["state"]  # type: ignore[index]
+
+
+def test_a_lighter_load_needs_a_shorter_step_and_changes_nothing_else() -> None:
+    """What goes on with it is the run that has had the short step from the beginning, to its accuracy."""
+    robot, config = Robot.load("k807"), load_controller("k807-wrist")
+    # A delayed and filtered sensor, so that all of a drive's memory is moved over.
+    slow = {"torque_latency": 0.002, "sensor_bandwidth": 200.0}
+    robot = robot.with_drives({name: slow for name in robot.joints})
+    heavy, light = build(robot, config.period, [Payload(4.5, 0.2)]), build(robot, config.period)
+    assert light.timestep < heavy.timestep
+    seen = []
+    for plant in (heavy, with_timestep(heavy, light.timestep)):
+        rest = Hold(np.array(robot.home))
+        arm = LiveArm(robot, config, plant, rest, payloads=[Payload(4.5, 0.2)], seed=5)
+        arm.go_on(100)
+        arm.carry(light, [])
+        assert arm.plant.timestep == light.timestep
+        seen.append(arm.go_on(60).record)
+    for channel, atol in (("sample", 0.01), ("link_position", 1e-6), ("link_velocity", 1e-3)):
+        one, other = (record[CHANNELS.index(channel)] for record in seen)
+        np.testing.assert_allclose(one, other, atol=atol, err_msg=channel)
 
 
 def test_same_numbers_again_change_nothing() -> None:
@@ -184,6 +206,32 @@ def test_rivals_run_beside(session: Session, name: str) -> None:
     mine, other = session.arm.window.reference, session.rival.window.reference
     np.testing.assert_array_equal(mine, other)
     assert rival_of(name, session.config, session.robot).joints[0].law != "virtual_passive"
+
+
+def test_scene_1_goes_on_past_its_end(session: Session) -> None:
+    """The load is gone at 12 s: both arms follow the same motion, and the one without the law jumps more."""
+    play(SCENES[0], session)
+    session.step(12.1)
+    session.fail("torque_bias", "joint5", 1.0)
+    before, rival = session.arm.reference, session.rival
+    session.step(3.9)
+    assert session.payload.mass == 0.0
+    assert session.rival is rival is not None
+    assert session.rival_name == "PD, same kp and kd"
+    assert session.arm.reference is rival.reference is before
+    assert session.faults
+    j = session.robot.index("joint6")
+    jumps = []
+    for beside in (False, True):
+        past = session.past(rival=beside)
+        assert past.time[-1] > 15.9
+        assert past.time[0] < 0.1
+        angle, wanted = past.channel("link_position")[:, j], past.reference[:, j]
+        late = past.time > 13.0
+        assert np.ptp(angle[late]) > 0.5 * np.ptp(wanted[late]) > 0.05
+        error = (wanted - angle)[(past.time > 11.99) & (past.time < 12.5)]
+        jumps.append(np.abs(error - error[0]).max())
+    assert jumps[1] > 5 * jumps[0]
 
 
 def test_period_and_payload_change_without_a_jump(session: Session) -> None:

@@ -21,7 +21,7 @@ from dashpot.errors import InputError
 from dashpot.faults import Fault
 from dashpot.loop import Loop, carry
 from dashpot.payload import Payload
-from dashpot.plant import Plant
+from dashpot.plant import Plant, with_timestep
 from dashpot.recording import CHANNELS
 from dashpot.release import tracking_events
 from dashpot.robot import Robot
@@ -328,10 +328,10 @@ class LiveArm(Loop):
                 self.core.preset(i, found.states[i], float(found.torque[self.robot.index(joint)]))
         self.follow(Hold(target))
 
-    def carry(self, loaded: Plant, payloads: Sequence[Payload]) -> bool:
-        """Carries other loads from now on; False: their plant needs a shorter time step, hence a new arm."""
+    def carry(self, loaded: Plant, payloads: Sequence[Payload]) -> None:
+        """Carries other loads from now on, with a shorter time step where their plant needs one."""
         if loaded.timestep < self.plant.timestep * (1 - 1e-12):
-            return False
+            self._refine(loaded.timestep)
         model = loaded.model
         if model.opt.timestep != self.plant.timestep:
             model = copy.copy(model)
@@ -339,7 +339,6 @@ class LiveArm(Loop):
         self._model, self._data = model, carry(model, self._data)
         self._plant = replace(self._plant, model=model)
         self.payloads = tuple(payloads)
-        return True
 
     def begin(self, fault: Fault) -> list[int]:
         """Lets something fail from the coming tick on; returns its places in the script, for `end`.
@@ -439,6 +438,24 @@ class LiveArm(Loop):
     def _refuse_if_stopped(self, joint: str | None = None) -> None:
         if self.state != TRACK:
             raise InputError("the supervisor has stopped the arm; resume first", joint=joint)
+
+    def _refine(self, timestep: float) -> None:
+        """Goes on from here with a shorter time step [s]."""
+        coarse, fine = self._plant, with_timestep(self._plant, timestep)
+        drives, h = self._drives, self.config.period
+        before, after = round(h / coarse.timestep), round(h / timestep)
+        # Of the drives only constants know of the step; their states are torques, but for two.
+        for name in fine.drives.dtype.names or ():
+            if (fine.drives[name] != coarse.drives[name]).any():
+                drives[name] = fine.drives[name]
+        drives["sum"] *= after / before  # of the torque over the steps of this period
+        for drive, was in zip(drives, coarse.drives["sensor_delay"], strict=True):
+            if was > 0:  # torques under way to the sensor, in places that the number of the step gives
+                oldest_first = drive["delay"][(self.tick * before + np.arange(was)) % was]
+                now = int(drive["sensor_delay"])
+                seen = np.interp(np.linspace(0, was - 1, now), np.arange(was), oldest_first)
+                drive["delay"][(self.tick * after + np.arange(now)) % now] = seen
+        self._plant = fine
 
     def _move_like(self, other: LiveArm) -> None:
         for name in ("qpos", "qvel", "qacc_warmstart"):

@@ -88,9 +88,7 @@ class Told(Arms):
         with self._lock:
             held = self.arm.energy()
             for arm in self._arms():
-                if not arm.carry(plant, loads):
-                    self._exchange(self.config, plant, loads)
-                    break
+                arm.carry(plant, loads)
             self.payload = load
             self.account.restate(held, self.arm.energy())
             self.generation += 1

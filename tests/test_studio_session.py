@@ -234,6 +234,21 @@ def test_scene_1_goes_on_past_its_end(session: Session) -> None:
     assert jumps[1] > 5 * jumps[0]
 
 
+@pytest.mark.parametrize("chosen", [True, False])
+def test_a_scene_is_without_supervisor_and_what_follows_as_chosen(session: Session, chosen: bool) -> None:
+    session.supervise(chosen)
+    for scene in SCENES:
+        play(scene, session)
+        assert not session.supervised
+        assert session.arm.guard is None
+    session.load("k807", "k807-wrist")
+    assert session.supervised is chosen
+    play(SCENES[1], session)
+    session.restart()
+    assert session.supervised is chosen
+    assert (session.arm.guard is not None) is chosen
+
+
 def test_period_and_payload_change_without_a_jump(session: Session) -> None:
     session.step(0.3)
     before = session.snapshot().position

@@ -67,7 +67,8 @@ class Arms:
         self._running, self._closed = False, threading.Event()
         self._thread: threading.Thread | None = None
         self.seed, self._certify = seed, certify
-        self.supervised, self.generation, self.factor = supervise, 0, 1.0
+        self.supervised = self._supervise = supervise  # now, and what the user has chosen
+        self.generation, self.factor = 0, 1.0
         self.certifier: Certifier | None = None
         self.news: deque[News] = deque(maxlen=300)
         self.energies: deque[tuple[float, float, float, float, float]] = deque(maxlen=ENERGIES)
@@ -82,6 +83,7 @@ class Arms:
         fixed: Sequence[Payload] = (),
         reference: Callable[[Robot], Reference] | None = None,
         seed: int | None = None,
+        supervise: bool | None = None,
     ) -> None:
         """Takes another arm or another controller, at rest at home; all faults are gone, and so is the rival.
 
@@ -92,6 +94,8 @@ class Arms:
             fixed: What else hangs there, always.
             reference: Makes the reference to start with; None: rest at home.
             seed: Of the sensor noise; None: the session's.
+            supervise: Whether a supervisor is in charge until something else is loaded; None: as the user
+                has chosen.
 
         Raises:
             DashpotError: They cannot be used; everything stays as it was.
@@ -99,10 +103,11 @@ class Arms:
         arm = robot if isinstance(robot, Robot) else Robot.load(robot)
         config = controller if isinstance(controller, ControllerConfig) else load_controller(controller)
         loads = [*fixed, *([payload] if payload is not None and payload.mass > 0 else [])]
+        supervised = self._supervise if supervise is None else supervise
         with quiet():
             plant = build(arm, config.period, loads)
             first = reference(arm) if reference else Hold(np.array(arm.home))
-            settings = SupervisorSettings() if self.supervised else None
+            settings = SupervisorSettings() if supervised else None
             live = LiveArm(
                 arm, config, plant, first, payloads=loads, supervisor=settings,
                 seed=self.seed if seed is None else seed,
@@ -115,7 +120,7 @@ class Arms:
                 if self.certifier is not None:
                     self.certifier.close()
                 self.certifier = Certifier(arm) if self._certify else None
-            self.robot, self.config, self.arm = arm, config, live
+            self.robot, self.config, self.arm, self.supervised = arm, config, live, supervised
             self.payload, self._fixed = payload or Payload(0.0), tuple(fixed)
             self.rival: LiveArm | None = None
             self.rival_name = ""

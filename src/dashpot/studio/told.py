@@ -232,7 +232,7 @@ class Told(Arms):
     def supervise(self, on: bool) -> None:
         """Puts the supervisor in charge, or nobody."""
         with self._lock:
-            self.supervised = on
+            self.supervised = self._supervise = on
             self.arm.supervise(SupervisorSettings() if on else None)
             self._tell("supervisor " + ("on" if on else "off"))
 

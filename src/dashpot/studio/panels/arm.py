@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from dashpot.controller import BUNDLED as CONTROLLERS
+from dashpot.errors import DashpotError
 from dashpot.payload import Payload
 from dashpot.robot import BUNDLED
+from dashpot.studio.choices import CONTROLLER_OF
 from dashpot.studio.markup import block
 from dashpot.studio.panels.shared import Beside, NumberField, Settled, by_hand, set_quietly
 from dashpot.studio.told import HEAVIEST, POUND
@@ -14,7 +16,6 @@ from dashpot.studio.told import HEAVIEST, POUND
 if TYPE_CHECKING:
     from dashpot.studio.page import Page
 
-DEFAULTS = {"k807": "k807-wrist", "fr3": "fr3", "iiwa14": "iiwa14"}
 TAP = 5.0  # [N m]
 
 
@@ -92,12 +93,20 @@ class ArmPanel:
 
     def _picked(self, event: Any) -> None:
         name = event.target.value
-        self._robot.value, self._controller.value = name, DEFAULTS[name]
+        self._robot.value, self._controller.value = name, CONTROLLER_OF[name]
         self._loaded()
 
     def _loaded(self) -> None:
+        page, robot, controller = self._page, self._robot.value.strip(), self._controller.value.strip()
+        if robot != page.robot_name and controller == page.controller_name:  # that of the arm before
+            controller = CONTROLLER_OF.get(robot, controller)
         with self._beside.explained():
-            self._page.load(self._robot.value.strip(), self._controller.value.strip(), Payload(0.0))
+            try:
+                page.load(robot, controller, Payload(0.0))
+            except (DashpotError, OSError) as error:
+                raise DashpotError(f"{robot} under {controller}: {error}") from None
+        if self._beside.failed:  # the fields say what runs
+            self._robot.value, self._controller.value = page.robot_name, page.controller_name
 
     def _weigh(self, mass: float) -> None:
         with self._beside_load.explained():

@@ -17,6 +17,7 @@ from dashpot.recording import CHANNELS
 from dashpot.robot import Robot
 from dashpot.simulate import Event, PayloadChange, Scenario, run
 from dashpot.studio.choices import RIVALS, rival_of
+from dashpot.studio.files import recording
 from dashpot.studio.live import LiveArm, equilibrium_state
 from dashpot.studio.references import Hold, Move, Play, go_to, wander
 from dashpot.studio.ring import envelope
@@ -35,8 +36,11 @@ def session() -> Iterator[Session]:
     found.close()
 
 
-@pytest.mark.parametrize(("name", "controller"), [("k807", "k807-wrist"), ("fr3", "fr3")])
-def test_live_is_simulate_bit_for_bit(name: str, controller: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "controller", "carried"),
+    [("k807", "k807-wrist", False), ("fr3", "fr3", False), ("fr3", "fr3", True)],
+)
+def test_live_is_simulate_bit_for_bit(name: str, controller: str, carried: bool) -> None:
     """A fault, a change of payload, a cut position loop, a tap, the supervisor: all at their ticks."""
     robot, config = Robot.load(name), load_controller(controller)
     path = multisine(robot.home, 1.0, config.period, 3, amplitude=0.3, lead_in=0.0)
@@ -59,12 +63,22 @@ def test_live_is_simulate_bit_for_bit(name: str, controller: str) -> None:
             faults=[drops, fault],
             payload_changes=[PayloadChange(lost * h, HEAVY)],
             supervisor=SupervisorSettings(),
+            gravity_compensation=carried,
         )
     )
     heavy = build(robot, h, [HEAVY])
     if heavy.timestep < plant.timestep:  # the shortest step that one of the loads needs, as simulate does
         plant = with_timestep(plant, heavy.timestep)
-    arm = LiveArm(robot, config, plant, Play(path), payloads=[LOAD], supervisor=SupervisorSettings(), seed=5)
+    arm = LiveArm(
+        robot,
+        config,
+        plant,
+        Play(path),
+        payloads=[LOAD],
+        supervisor=SupervisorSettings(),
+        seed=5,
+        carried=carried,
+    )
     rng, marks, seen = np.random.default_rng(0), [cut, fails, lost, ticks], []
     arm.begin(drops)
     while arm.tick < ticks:
@@ -177,6 +191,59 @@ def test_fault_brakes_and_resume_tracks(session: Session) -> None:
     found = session.snapshot()
     assert found.state == "track"
     np.testing.assert_allclose(found.position, here, atol=0.03)
+
+
+def test_an_arm_that_carries_itself_stays_under_the_brake() -> None:
+    """The encoder of the last joint is lost in motion: without its gravity compensation an fr3 sinks."""
+    found = Session("fr3", "fr3", certify=False)
+    try:
+        assert found.arm.carried
+        found.set_rival("PD, same kp and kd")
+        assert found.rival is not None
+        assert found.rival.carried
+        found.move(0.3)
+        found.step(4.0)
+        found.fail("encoder_lost", "joint7")
+        found.step(1.9)
+        assert found.arm.state == "torque_brake"
+        (said,) = [news.text for news in found.news if news.kind == "supervisor"]
+        assert "nan" not in said
+        assert np.abs(found.snapshot().velocity).max() < 0.02
+        assert recording(found).settings["gravity_compensation"] is True
+        here = found.snapshot().position
+        found.heal()
+        found.resume()
+        found.step(1.0)
+        assert found.arm.state == "track"
+        np.testing.assert_allclose(found.snapshot().position, here, atol=0.01)
+    finally:
+        found.close()
+
+
+def test_the_weight_is_handed_over_without_a_jump() -> None:
+    found = Session("fr3", "fr3", payload=LOAD, certify=False)
+    try:
+        found.step(0.3)
+        where, command = found.snapshot().position, found.snapshot().command
+        weight = build(found.robot, found.config.period).load_torque(where)
+        assert np.abs(weight).max() > 10.0
+        for on, share in ((False, 1.0), (True, 0.0)):
+            found.compensate(on)
+            found.step(0.5)
+            now, past = found.snapshot(), found.past(0.5)
+            assert now.state == "track"
+            assert found.arm.carried is on
+            assert np.abs(past.channel("link_velocity")).max() < 0.15
+            np.testing.assert_allclose(now.position, where, atol=0.02)  # the weight's sag, and friction
+            np.testing.assert_allclose(now.command, command + share * weight, atol=4.0)
+    finally:
+        found.close()
+
+
+def test_a_robot_that_cannot_carry_itself_says_so(session: Session) -> None:
+    assert not session.arm.carried
+    with pytest.raises(InputError, match="gravity compensation: the robot has none"):
+        session.compensate(True)
 
 
 def test_push_moves_the_link_where_it_is_pulled(session: Session) -> None:

@@ -68,7 +68,7 @@ class Arms:
         self._thread: threading.Thread | None = None
         self.seed, self._certify = seed, certify
         self.supervised = self._supervise = supervise  # now, and what the user has chosen
-        self.generation, self.factor = 0, 1.0
+        self.carried, self.generation, self.factor = True, 0, 1.0
         self.certifier: Certifier | None = None
         self.news: deque[News] = deque(maxlen=300)
         self.energies: deque[tuple[float, float, float, float, float]] = deque(maxlen=ENERGIES)
@@ -110,7 +110,7 @@ class Arms:
             settings = SupervisorSettings() if supervised else None
             live = LiveArm(
                 arm, config, plant, first, payloads=loads, supervisor=settings,
-                seed=self.seed if seed is None else seed,
+                seed=self.seed if seed is None else seed, carried=self.carried,
             )  # fmt: skip
             if live.diverged is not None:
                 raise DashpotError("the arm cannot be simulated")
@@ -155,7 +155,8 @@ class Arms:
             with quiet():
                 self.rival = LiveArm(
                     self.robot, made, self.arm.plant, self.arm.reference,
-                    payloads=self.arm.payloads, seed=self.arm.scenario.seed, like=self.arm,
+                    payloads=self.arm.payloads, seed=self.arm.scenario.seed, carried=self.carried,
+                    like=self.arm,
                 )  # fmt: skip
             self.rival.follow(self.arm.reference)
             self.rival._since = self.rival.tick - (self.arm.tick - self.arm._since)
@@ -278,7 +279,7 @@ class Arms:
         settings = SupervisorSettings() if self.supervised else None
         arm = LiveArm(
             self.robot, config, plant, Hold(start[0]), payloads=loads, supervisor=settings,
-            seed=old.scenario.seed, like=old,
+            seed=old.scenario.seed, carried=self.carried, like=old,
         )  # fmt: skip
         arm.follow(go_to(start, start[0] + 0.3 * start[1], config.period))
         self._start = self.time

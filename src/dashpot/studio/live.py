@@ -19,7 +19,7 @@ from dashpot.controller import MODES, Controller, ControllerConfig, Mode
 from dashpot.equilibrium import settle
 from dashpot.errors import InputError
 from dashpot.faults import Fault
-from dashpot.loop import Loop, carry
+from dashpot.loop import Loop, _compensation, carry
 from dashpot.payload import Payload
 from dashpot.plant import Plant, with_timestep
 from dashpot.recording import CHANNELS
@@ -97,6 +97,7 @@ class LiveArm(Loop):
         payloads: Sequence[Payload] = (),
         supervisor: SupervisorSettings | None = None,
         seed: int = 0,
+        carried: bool = False,
         like: LiveArm | None = None,
     ) -> None:
         """Starts at rest, in equilibrium with the reference, or as another arm moves.
@@ -109,6 +110,7 @@ class LiveArm(Loop):
             payloads: Those of the plant.
             supervisor: Runs in place of the bare controller; None: none does.
             seed: Of sensor noise and dropped samples.
+            carried: Whether the robot's own gravity compensation is on, where it has one.
             like: An arm of the same joints whose motion is taken over.
 
         Raises:
@@ -127,7 +129,12 @@ class LiveArm(Loop):
         first = self._rows(np.zeros(1, np.int64))
         start = Trajectory(config.period, first[0], first[1], first[2], torque=first[3])
         events = tracking_events(config, 0.0)
-        super().__init__(Scenario(plant, self.controller, start, events, seed=seed, supervisor=supervisor))
+        super().__init__(
+            Scenario(
+                plant, self.controller, start, events,
+                seed=seed, supervisor=supervisor, gravity_compensation=carried,
+            )
+        )  # fmt: skip
         if self.faults is None:
             self.faults = native_faults((), plant, self.controller.joints, start, seed)
         self._supervisor = supervisor
@@ -173,6 +180,11 @@ class LiveArm(Loop):
     def state(self) -> State:
         """The supervisor's; "track" without one."""
         return STATES[self.guard.state] if self.guard else TRACK
+
+    @property
+    def carried(self) -> bool:
+        """Whether the robot carries its own weight, below the controller."""
+        return self._gravity is not None
 
     @property
     def brake_closed(self) -> bool:
@@ -317,16 +329,48 @@ class LiveArm(Loop):
         here = np.array(self._data.qpos[self.plant.rotor_qpos])
         blocks, joints = self.controller.blocks, self.controller.joints
         bypass = [joint for joint, (mode, _) in self._modes.items() if mode == "bypass"]
-        found = settle(self.plant, joints, blocks, here, bypass)
+        carried = None if self._gravity is None else self._gravity.torque
+        found = settle(self.plant, joints, blocks, here, bypass, carried=carried)
         target = here
         if found is not None:  # where to be told to be, so as to sag to here
             target = 2 * here - found.rotor
-            found = settle(self.plant, joints, blocks, target, bypass)
+            found = settle(self.plant, joints, blocks, target, bypass, carried=carried)
         assert self.core is not None
         for i, joint in enumerate(joints):
             if found is not None:
                 self.core.preset(i, found.states[i], float(found.torque[self.robot.index(joint)]))
         self.follow(Hold(target))
+
+    def compensate(self, on: bool) -> None:
+        """Switches the robot's own gravity compensation; the controller hands the weight over, or takes it.
+
+        Raises:
+            InputError: The robot has none, or the supervisor has stopped the arm.
+        """
+        if on == self.carried:
+            return
+        if not self.robot.gravity_compensation:
+            raise InputError("the robot has none", quantity="gravity compensation")
+        self._refuse_if_stopped()
+        assert self.core is not None
+        self.scenario = replace(self.scenario, gravity_compensation=on)
+        before, self._gravity = self._gravity, _compensation(self.scenario, self._plant)
+        own = self._gravity or before
+        assert own is not None
+        weight = own.torque(np.array(self._data.qpos[self.plant.rotor_qpos])) * (1 if on else -1)
+        inputs = self._inputs()
+        for i, name in enumerate(self.controller.joints):
+            j, block = self.robot.index(name), self.controller.blocks[i]
+            _, loop, _, in_effect, _, _ = self.core.joint_state(i)
+            w, limit = inputs[j].copy(), float(block["torque_limit"])
+            w[TORQUE] -= weight[j]
+            w[IN_EFFECT] = torque = min(max(in_effect - weight[j], -limit), limit)
+            if not loop:
+                w[POSITION:] = 0.0
+            self.core.preset(i, equilibrium_state(block, w), torque)
+        if not on:
+            self._drives["gravity"] = 0.0
+        self.supervise(self._supervisor)
 
     def carry(self, loaded: Plant, payloads: Sequence[Payload]) -> None:
         """Carries other loads from now on, with a shorter time step where their plant needs one."""

@@ -94,6 +94,18 @@ class Told(Arms):
             self.generation += 1
             self._tell(f"payload {mass:.2f} kg ({mass / POUND:.1f} lb)")
 
+    def compensate(self, on: bool) -> None:
+        """Has robots that can do so carry their own weight, or leave it to the controller.
+
+        Raises:
+            InputError: The robot cannot, or the supervisor has stopped the arm.
+        """
+        with self._lock:
+            for arm in self._arms():
+                arm.compensate(on)
+            self.carried = on
+            self._tell("the robot carries its own weight" if on else "the controller carries the robot")
+
     def tap(self, joint: str, torque: float) -> None:
         """Knocks a link for 0.1 s [N m].
 

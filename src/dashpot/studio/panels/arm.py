@@ -52,6 +52,12 @@ class ArmPanel:
             )
             self._shown = tuple(float(part) for part in session.payload.position)
             self._beside_load = Beside(gui)
+            self._carried: Any = gui.add_checkbox(
+                "robot carries its own weight",
+                initial_value=session.carried,
+                hint="Its gravity compensation, below the controller; off: the controller carries the arm",
+                visible=session.robot.gravity_compensation,
+            )
         with gui.add_folder("Motion"):
             self._pose = gui.add_button_group("go to", tuple(session.poses))
             self._amplitude = gui.add_slider(
@@ -68,6 +74,7 @@ class ArmPanel:
         self._load.on_click(lambda _: self._loaded())
         by_hand(self._mass, lambda kg: self._weigh(float(kg)))
         by_hand(self._offset, Settled(lambda _: self._weigh(page.session.payload.mass)))
+        by_hand(self._carried, self._compensated)
         self._pose.on_click(lambda _: self._do(lambda: page.session.go(self._pose.value)))
         self._move.on_click(lambda _: self._do(lambda: page.session.move(float(self._amplitude.value))))
         self._hold.on_click(lambda _: self._do(page.session.hold))
@@ -85,6 +92,10 @@ class ArmPanel:
             self._offset.value = self._shown = offset
         if tuple(self._pose.options) != tuple(session.poses):
             self._pose.options = tuple(session.poses)
+
+        if self._carried.visible != session.robot.gravity_compensation:
+            self._carried.visible = session.robot.gravity_compensation
+        set_quietly(self._carried, session.carried)
 
     def name(self) -> None:
         """Shows the names of what was loaded elsewhere."""
@@ -111,6 +122,12 @@ class ArmPanel:
     def _weigh(self, mass: float) -> None:
         with self._beside_load.explained():
             self._page.session.set_payload(mass, tuple(float(part) for part in self._offset.value))  # type: ignore[arg-type]
+
+    def _compensated(self, on: bool) -> None:
+        with self._beside_load.explained():
+            self._page.session.compensate(bool(on))
+        if self._beside_load.failed:
+            self._carried.value = self._page.session.carried
 
     def _do(self, act: Any) -> None:
         with self._beside_motion.explained():

@@ -6,7 +6,7 @@ NATIVE := $(wildcard native/*) CMakeLists.txt pyproject.toml
 # An editable install knows the modules it was made with: one that comes or goes touches its folder.
 FOLDERS := $(shell find src -type d -not -name __pycache__)
 
-.PHONY: demo test lint bench clean \
+.PHONY: demo test lint bench studio clean \
         evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms \
         evidence-readiness evidence-export evidence-franka evidence-studio evidence-lanes
 
@@ -23,6 +23,10 @@ lint: $(VENV)/.test
 
 bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/bench.py --check
+
+# The live arm in the browser: `make studio ARGS="fr3 --payload 2"`.
+studio: $(VENV)/.studio
+	$(BIN)/dashpot studio $(ARGS)
 
 # About three minutes: the search for the gains of Fig. 6 (b).
 evidence-fig6: $(VENV)/.installed
@@ -100,6 +104,10 @@ $(VENV)/.test: $(VENV)/.installed
 	@command -v chromium > /dev/null || command -v chromium-browser > /dev/null || command -v google-chrome > /dev/null || \
 	  PLAYWRIGHT_DOWNLOAD_CONNECTION_TIMEOUT=10000 $(BIN)/python -m playwright install chromium > /dev/null 2>&1 || \
 	  echo "No Chromium here, and none to be had: the test of the studio in a browser will be skipped; install chromium."
+	touch $@
+
+$(VENV)/.studio: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[studio]'
 	touch $@
 
 $(VENV)/.bench: $(VENV)/.installed

@@ -17,9 +17,11 @@ from dashpot.recording import CHANNELS
 from dashpot.robot import Robot
 from dashpot.simulate import Event, PayloadChange, Scenario, run
 from dashpot.studio.choices import RIVALS, rival_of
+from dashpot.studio.files import recording
 from dashpot.studio.live import LiveArm, equilibrium_state
 from dashpot.studio.references import Hold, Move, Play, go_to, wander
 from dashpot.studio.ring import envelope
+from dashpot.studio.scenes import SCENES, play
 from dashpot.studio.session import Session
 from dashpot.supervisor import SupervisorSettings
 from dashpot.trajectory import multisine
@@ -34,8 +36,11 @@ def session() -> Iterator[Session]:
     found.close()
 
 
-@pytest.mark.parametrize(("name", "controller"), [("k807", "k807-wrist"), ("fr3", "fr3")])
-def test_live_is_simulate_bit_for_bit(name: str, controller: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "controller", "carried"),
+    [("k807", "k807-wrist", False), ("fr3", "fr3", False), ("fr3", "fr3", True)],
+)
+def test_live_is_simulate_bit_for_bit(name: str, controller: str, carried: bool) -> None:
     """A fault, a change of payload, a cut position loop, a tap, the supervisor: all at their ticks."""
     robot, config = Robot.load(name), load_controller(controller)
     path = multisine(robot.home, 1.0, config.period, 3, amplitude=0.3, lead_in=0.0)
@@ -58,12 +63,22 @@ def test_live_is_simulate_bit_for_bit(name: str, controller: str) -> None:
             faults=[drops, fault],
             payload_changes=[PayloadChange(lost * h, HEAVY)],
             supervisor=SupervisorSettings(),
+            gravity_compensation=carried,
         )
     )
     heavy = build(robot, h, [HEAVY])
     if heavy.timestep < plant.timestep:  # the shortest step that one of the loads needs, as simulate does
         plant = with_timestep(plant, heavy.timestep)
-    arm = LiveArm(robot, config, plant, Play(path), payloads=[LOAD], supervisor=SupervisorSettings(), seed=5)
+    arm = LiveArm(
+        robot,
+        config,
+        plant,
+        Play(path),
+        payloads=[LOAD],
+        supervisor=SupervisorSettings(),
+        seed=5,
+        carried=carried,
+    )
     rng, marks, seen = np.random.default_rng(0), [cut, fails, lost, ticks], []
     arm.begin(drops)
     while arm.tick < ticks:
@@ -73,7 +88,7 @@ def test_live_is_simulate_bit_for_bit(name: str, controller: str) -> None:
         if arm.tick == fails:
             arm.begin(fault)
         if arm.tick == lost:
-            assert arm.carry(heavy, [HEAVY])
+            arm.carry(heavy, [HEAVY])
         until = min(mark for mark in marks if mark > arm.tick)
         seen.append(arm.go_on(min(int(rng.integers(1, 30)), until - arm.tick)))
     got = np.concatenate([window.record for window in seen], axis=1)
@@ -81,6 +96,27 @@ def test_live_is_simulate_bit_for_bit(name: str, controller: str) -> None:
         np.testing.assert_array_equal(values, getattr(wanted, channel), err_msg=channel)
     np.testing.assert_array_equal(np.concatenate([w.status for w in seen]), wanted.status)
     assert "track" != arm.state == wanted.settings["supervisor"]["state"]  # type: ignore[index]
+
+
+def test_a_lighter_load_needs_a_shorter_step_and_changes_nothing_else() -> None:
+    """What goes on with it is the run that has had the short step from the beginning, to its accuracy."""
+    robot, config = Robot.load("k807"), load_controller("k807-wrist")
+    # A delayed and filtered sensor, so that all of a drive's memory is moved over.
+    slow = {"torque_latency": 0.002, "sensor_bandwidth": 200.0}
+    robot = robot.with_drives({name: slow for name in robot.joints})
+    heavy, light = build(robot, config.period, [Payload(4.5, 0.2)]), build(robot, config.period)
+    assert light.timestep < heavy.timestep
+    seen = []
+    for plant in (heavy, with_timestep(heavy, light.timestep)):
+        rest = Hold(np.array(robot.home))
+        arm = LiveArm(robot, config, plant, rest, payloads=[Payload(4.5, 0.2)], seed=5)
+        arm.go_on(100)
+        arm.carry(light, [])
+        assert arm.plant.timestep == light.timestep
+        seen.append(arm.go_on(60).record)
+    for channel, atol in (("sample", 0.01), ("link_position", 1e-6), ("link_velocity", 1e-3)):
+        one, other = (record[CHANNELS.index(channel)] for record in seen)
+        np.testing.assert_allclose(one, other, atol=atol, err_msg=channel)
 
 
 def test_same_numbers_again_change_nothing() -> None:
@@ -157,6 +193,59 @@ def test_fault_brakes_and_resume_tracks(session: Session) -> None:
     np.testing.assert_allclose(found.position, here, atol=0.03)
 
 
+def test_an_arm_that_carries_itself_stays_under_the_brake() -> None:
+    """The encoder of the last joint is lost in motion: without its gravity compensation an fr3 sinks."""
+    found = Session("fr3", "fr3", certify=False)
+    try:
+        assert found.arm.carried
+        found.set_rival("PD, same kp and kd")
+        assert found.rival is not None
+        assert found.rival.carried
+        found.move(0.3)
+        found.step(4.0)
+        found.fail("encoder_lost", "joint7")
+        found.step(1.9)
+        assert found.arm.state == "torque_brake"
+        (said,) = [news.text for news in found.news if news.kind == "supervisor"]
+        assert "nan" not in said
+        assert np.abs(found.snapshot().velocity).max() < 0.02
+        assert recording(found).settings["gravity_compensation"] is True
+        here = found.snapshot().position
+        found.heal()
+        found.resume()
+        found.step(1.0)
+        assert found.arm.state == "track"
+        np.testing.assert_allclose(found.snapshot().position, here, atol=0.01)
+    finally:
+        found.close()
+
+
+def test_the_weight_is_handed_over_without_a_jump() -> None:
+    found = Session("fr3", "fr3", payload=LOAD, certify=False)
+    try:
+        found.step(0.3)
+        where, command = found.snapshot().position, found.snapshot().command
+        weight = build(found.robot, found.config.period).load_torque(where)
+        assert np.abs(weight).max() > 10.0
+        for on, share in ((False, 1.0), (True, 0.0)):
+            found.compensate(on)
+            found.step(0.5)
+            now, past = found.snapshot(), found.past(0.5)
+            assert now.state == "track"
+            assert found.arm.carried is on
+            assert np.abs(past.channel("link_velocity")).max() < 0.15
+            np.testing.assert_allclose(now.position, where, atol=0.02)  # the weight's sag, and friction
+            np.testing.assert_allclose(now.command, command + share * weight, atol=4.0)
+    finally:
+        found.close()
+
+
+def test_a_robot_that_cannot_carry_itself_says_so(session: Session) -> None:
+    assert not session.arm.carried
+    with pytest.raises(InputError, match="gravity compensation: the robot has none"):
+        session.compensate(True)
+
+
 def test_push_moves_the_link_where_it_is_pulled(session: Session) -> None:
     session.step(0.2)
     body = session.arm.model.nbody - 1
@@ -184,6 +273,47 @@ def test_rivals_run_beside(session: Session, name: str) -> None:
     mine, other = session.arm.window.reference, session.rival.window.reference
     np.testing.assert_array_equal(mine, other)
     assert rival_of(name, session.config, session.robot).joints[0].law != "virtual_passive"
+
+
+def test_scene_1_goes_on_past_its_end(session: Session) -> None:
+    """The load is gone at 12 s: both arms follow the same motion, and the one without the law jumps more."""
+    play(SCENES[0], session)
+    session.step(12.1)
+    session.fail("torque_bias", "joint5", 1.0)
+    before, rival = session.arm.reference, session.rival
+    session.step(3.9)
+    assert session.payload.mass == 0.0
+    assert session.rival is rival is not None
+    assert session.rival_name == "PD, same kp and kd"
+    assert session.arm.reference is rival.reference is before
+    assert session.faults
+    j = session.robot.index("joint6")
+    jumps = []
+    for beside in (False, True):
+        past = session.past(rival=beside)
+        assert past.time[-1] > 15.9
+        assert past.time[0] < 0.1
+        angle, wanted = past.channel("link_position")[:, j], past.reference[:, j]
+        late = past.time > 13.0
+        assert np.ptp(angle[late]) > 0.5 * np.ptp(wanted[late]) > 0.05
+        error = (wanted - angle)[(past.time > 11.99) & (past.time < 12.5)]
+        jumps.append(np.abs(error - error[0]).max())
+    assert jumps[1] > 5 * jumps[0]
+
+
+@pytest.mark.parametrize("chosen", [True, False])
+def test_a_scene_is_without_supervisor_and_what_follows_as_chosen(session: Session, chosen: bool) -> None:
+    session.supervise(chosen)
+    for scene in SCENES:
+        play(scene, session)
+        assert not session.supervised
+        assert session.arm.guard is None
+    session.load("k807", "k807-wrist")
+    assert session.supervised is chosen
+    play(SCENES[1], session)
+    session.restart()
+    assert session.supervised is chosen
+    assert (session.arm.guard is not None) is chosen
 
 
 def test_period_and_payload_change_without_a_jump(session: Session) -> None:

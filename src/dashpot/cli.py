@@ -689,12 +689,15 @@ class FrankaServer:
 class Studio:
     """Open the studio: a live arm in the browser, its controller, its certificate and its faults.
 
-    Needs pip install 'dashpot[studio]'. Works offline.
+    Needs viser: `make studio` in a checkout, else pip install 'dashpot[studio]'. Works offline.
     """
 
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")] = "k807"
     """Robot TOML, or k807, fr3, iiwa14."""
-    controller: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CONTROLLER")] = "k807-wrist"
+    controller: Annotated[
+        tyro.conf.Positional[str | None],
+        tyro.conf.arg(metavar="CONTROLLER", help_behavior_hint="(default: that of the bundled robot)"),
+    ] = None
     """Controller TOML, or k807-wrist, k807-resonant, fr3, iiwa14."""
     payload: Annotated[float, tyro.conf.arg(metavar="KG")] = 0.0
     """Mass on the flange to begin with [kg]."""

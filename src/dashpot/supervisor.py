@@ -7,6 +7,7 @@ docs/supervisor.md explains all.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
@@ -110,7 +111,7 @@ class Decision:
 
     def __str__(self) -> str:
         said = f"{self.time:.3f} s: {self.joint + ': ' if self.joint else ''}{self.words}"
-        if self.unit:
+        if self.unit and not math.isnan(self.value):
             said += f" ({self.value:.4g} {self.unit}, limit {self.threshold:.4g})"
         return f"{said}: {self.before} -> {self.after}"
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import gc
 import math
+import sys
 import threading
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+import dashpot
 from dashpot.engine import quiet_engine
 from dashpot.errors import DashpotError, InputError
 from dashpot.payload import Payload
@@ -26,15 +29,17 @@ def studio(options: Studio) -> int:
     try:
         import viser  # noqa: F401
     except ImportError:
-        raise DashpotError("the studio needs viser: pip install 'dashpot[studio]'") from None
+        raise DashpotError(f"the studio needs viser: {_install()}") from None
+    from dashpot.studio.choices import controller_of
     from dashpot.studio.page import open_page
 
+    controller = options.controller or controller_of(options.robot)
     quiet_engine()
     x = options.offset
     payload = Payload(options.payload, x[0] if len(x) == 1 else (x[0], x[1], x[2]))
     page = open_page(
         options.robot,
-        options.controller,
+        controller,
         payload,
         host=options.host,
         port=options.port,
@@ -44,9 +49,7 @@ def studio(options: Studio) -> int:
     _forget_the_start()
     console = Console()
     try:
-        console.print(
-            f"studio of {options.robot} under {options.controller}: open {page.url}", highlight=False
-        )
+        console.print(f"studio of {options.robot} under {controller}: open {page.url}", highlight=False)
         if options.host not in ("127.0.0.1", "localhost", "::1"):
             console.print(
                 f"[yellow]{options.host}: whoever reaches this address can use it[/]", highlight=False
@@ -61,6 +64,13 @@ def studio(options: Studio) -> int:
         page.close()
         page.session.close()
     return 0
+
+
+def _install() -> str:
+    """The command that installs what the studio needs for this interpreter."""
+    root = Path(dashpot.__file__).parents[2]
+    what = f"-e '{root}[studio]'" if (root / "pyproject.toml").is_file() else "'dashpot[studio]'"
+    return f"{sys.executable} -m pip install {what}"
 
 
 def _check(options: Studio) -> None:

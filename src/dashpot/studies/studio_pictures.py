@@ -90,7 +90,6 @@ def pictures(out: Path, names: list[str]) -> list[Path]:
             until(lambda: visitor.has("#dp-state"), "the page")
             for name, prepare in SHOTS.items():
                 if name != "scene":
-                    page.session.supervised = True
                     page.begin(lambda session: session.load("k807", "k807-wrist"), "k807", "k807-wrist")
                 prepare(page, visitor)
                 visitor.page.evaluate(  # viser's words on the machine that draws this

@@ -67,7 +67,8 @@ class Arms:
         self._running, self._closed = False, threading.Event()
         self._thread: threading.Thread | None = None
         self.seed, self._certify = seed, certify
-        self.supervised, self.generation, self.factor = supervise, 0, 1.0
+        self.supervised = self._supervise = supervise  # now, and what the user has chosen
+        self.carried, self.generation, self.factor = True, 0, 1.0
         self.certifier: Certifier | None = None
         self.news: deque[News] = deque(maxlen=300)
         self.energies: deque[tuple[float, float, float, float, float]] = deque(maxlen=ENERGIES)
@@ -82,6 +83,7 @@ class Arms:
         fixed: Sequence[Payload] = (),
         reference: Callable[[Robot], Reference] | None = None,
         seed: int | None = None,
+        supervise: bool | None = None,
     ) -> None:
         """Takes another arm or another controller, at rest at home; all faults are gone, and so is the rival.
 
@@ -92,6 +94,8 @@ class Arms:
             fixed: What else hangs there, always.
             reference: Makes the reference to start with; None: rest at home.
             seed: Of the sensor noise; None: the session's.
+            supervise: Whether a supervisor is in charge until something else is loaded; None: as the user
+                has chosen.
 
         Raises:
             DashpotError: They cannot be used; everything stays as it was.
@@ -99,13 +103,14 @@ class Arms:
         arm = robot if isinstance(robot, Robot) else Robot.load(robot)
         config = controller if isinstance(controller, ControllerConfig) else load_controller(controller)
         loads = [*fixed, *([payload] if payload is not None and payload.mass > 0 else [])]
+        supervised = self._supervise if supervise is None else supervise
         with quiet():
             plant = build(arm, config.period, loads)
             first = reference(arm) if reference else Hold(np.array(arm.home))
-            settings = SupervisorSettings() if self.supervised else None
+            settings = SupervisorSettings() if supervised else None
             live = LiveArm(
                 arm, config, plant, first, payloads=loads, supervisor=settings,
-                seed=self.seed if seed is None else seed,
+                seed=self.seed if seed is None else seed, carried=self.carried,
             )  # fmt: skip
             if live.diverged is not None:
                 raise DashpotError("the arm cannot be simulated")
@@ -115,7 +120,7 @@ class Arms:
                 if self.certifier is not None:
                     self.certifier.close()
                 self.certifier = Certifier(arm) if self._certify else None
-            self.robot, self.config, self.arm = arm, config, live
+            self.robot, self.config, self.arm, self.supervised = arm, config, live, supervised
             self.payload, self._fixed = payload or Payload(0.0), tuple(fixed)
             self.rival: LiveArm | None = None
             self.rival_name = ""
@@ -150,7 +155,8 @@ class Arms:
             with quiet():
                 self.rival = LiveArm(
                     self.robot, made, self.arm.plant, self.arm.reference,
-                    payloads=self.arm.payloads, seed=self.arm.scenario.seed, like=self.arm,
+                    payloads=self.arm.payloads, seed=self.arm.scenario.seed, carried=self.carried,
+                    like=self.arm,
                 )  # fmt: skip
             self.rival.follow(self.arm.reference)
             self.rival._since = self.rival.tick - (self.arm.tick - self.arm._since)
@@ -273,7 +279,7 @@ class Arms:
         settings = SupervisorSettings() if self.supervised else None
         arm = LiveArm(
             self.robot, config, plant, Hold(start[0]), payloads=loads, supervisor=settings,
-            seed=old.scenario.seed, like=old,
+            seed=old.scenario.seed, carried=self.carried, like=old,
         )  # fmt: skip
         arm.follow(go_to(start, start[0] + 0.3 * start[1], config.period))
         self._start = self.time

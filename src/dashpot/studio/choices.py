@@ -9,6 +9,7 @@ import numpy as np
 
 from dashpot.controller import ControllerConfig, JointGains, Law
 from dashpot.drive import Drive
+from dashpot.errors import InputError
 from dashpot.faults import FaultKind
 from dashpot.law import static_R
 from dashpot.plant import Plant
@@ -72,6 +73,25 @@ def rival_of(name: str, config: ControllerConfig, robot: Robot) -> ControllerCon
         RIVALS[name](law, drives[law.name]) if isinstance(law, JointGains) else law for law in config.joints
     ]
     return replace(config, joints=tuple(laws), file=None)
+
+
+CONTROLLER_OF = {"k807": "k807-wrist", "fr3": "fr3", "iiwa14": "iiwa14"}
+"""Bundled robot -> its bundled controller."""
+
+
+def controller_of(robot: str) -> str:
+    """The controller that a bundled robot comes with.
+
+    Raises:
+        InputError: It is none of them.
+    """
+    if robot not in CONTROLLER_OF:
+        raise InputError(
+            f"is missing; only {', '.join(CONTROLLER_OF)} come with one. Name its TOML after {robot}; "
+            "dashpot design makes one",
+            quantity="CONTROLLER",
+        )
+    return CONTROLLER_OF[robot]
 
 
 def poses(robot: Robot, plant: Plant) -> dict[str, Floats]:

@@ -76,6 +76,8 @@ def recording(session: Session, seconds: float | None = None) -> Recording:
         "seed": session.seed,
         "label": "studio",
     }
+    if session.arm.carried:
+        settings["gravity_compensation"] = True
     channels: dict[str, Any] = dict(zip(CHANNELS, past.record, strict=True))
     return Recording(
         session.robot.joints, past.time, past.reference, status=past.status, settings=settings, **channels

@@ -19,9 +19,9 @@ from dashpot.controller import MODES, Controller, ControllerConfig, Mode
 from dashpot.equilibrium import settle
 from dashpot.errors import InputError
 from dashpot.faults import Fault
-from dashpot.loop import Loop, carry
+from dashpot.loop import Loop, _compensation, carry
 from dashpot.payload import Payload
-from dashpot.plant import Plant
+from dashpot.plant import Plant, with_timestep
 from dashpot.recording import CHANNELS
 from dashpot.release import tracking_events
 from dashpot.robot import Robot
@@ -97,6 +97,7 @@ class LiveArm(Loop):
         payloads: Sequence[Payload] = (),
         supervisor: SupervisorSettings | None = None,
         seed: int = 0,
+        carried: bool = False,
         like: LiveArm | None = None,
     ) -> None:
         """Starts at rest, in equilibrium with the reference, or as another arm moves.
@@ -109,6 +110,7 @@ class LiveArm(Loop):
             payloads: Those of the plant.
             supervisor: Runs in place of the bare controller; None: none does.
             seed: Of sensor noise and dropped samples.
+            carried: Whether the robot's own gravity compensation is on, where it has one.
             like: An arm of the same joints whose motion is taken over.
 
         Raises:
@@ -127,7 +129,12 @@ class LiveArm(Loop):
         first = self._rows(np.zeros(1, np.int64))
         start = Trajectory(config.period, first[0], first[1], first[2], torque=first[3])
         events = tracking_events(config, 0.0)
-        super().__init__(Scenario(plant, self.controller, start, events, seed=seed, supervisor=supervisor))
+        super().__init__(
+            Scenario(
+                plant, self.controller, start, events,
+                seed=seed, supervisor=supervisor, gravity_compensation=carried,
+            )
+        )  # fmt: skip
         if self.faults is None:
             self.faults = native_faults((), plant, self.controller.joints, start, seed)
         self._supervisor = supervisor
@@ -173,6 +180,11 @@ class LiveArm(Loop):
     def state(self) -> State:
         """The supervisor's; "track" without one."""
         return STATES[self.guard.state] if self.guard else TRACK
+
+    @property
+    def carried(self) -> bool:
+        """Whether the robot carries its own weight, below the controller."""
+        return self._gravity is not None
 
     @property
     def brake_closed(self) -> bool:
@@ -317,21 +329,53 @@ class LiveArm(Loop):
         here = np.array(self._data.qpos[self.plant.rotor_qpos])
         blocks, joints = self.controller.blocks, self.controller.joints
         bypass = [joint for joint, (mode, _) in self._modes.items() if mode == "bypass"]
-        found = settle(self.plant, joints, blocks, here, bypass)
+        carried = None if self._gravity is None else self._gravity.torque
+        found = settle(self.plant, joints, blocks, here, bypass, carried=carried)
         target = here
         if found is not None:  # where to be told to be, so as to sag to here
             target = 2 * here - found.rotor
-            found = settle(self.plant, joints, blocks, target, bypass)
+            found = settle(self.plant, joints, blocks, target, bypass, carried=carried)
         assert self.core is not None
         for i, joint in enumerate(joints):
             if found is not None:
                 self.core.preset(i, found.states[i], float(found.torque[self.robot.index(joint)]))
         self.follow(Hold(target))
 
-    def carry(self, loaded: Plant, payloads: Sequence[Payload]) -> bool:
-        """Carries other loads from now on; False: their plant needs a shorter time step, hence a new arm."""
+    def compensate(self, on: bool) -> None:
+        """Switches the robot's own gravity compensation; the controller hands the weight over, or takes it.
+
+        Raises:
+            InputError: The robot has none, or the supervisor has stopped the arm.
+        """
+        if on == self.carried:
+            return
+        if not self.robot.gravity_compensation:
+            raise InputError("the robot has none", quantity="gravity compensation")
+        self._refuse_if_stopped()
+        assert self.core is not None
+        self.scenario = replace(self.scenario, gravity_compensation=on)
+        before, self._gravity = self._gravity, _compensation(self.scenario, self._plant)
+        own = self._gravity or before
+        assert own is not None
+        weight = own.torque(np.array(self._data.qpos[self.plant.rotor_qpos])) * (1 if on else -1)
+        inputs = self._inputs()
+        for i, name in enumerate(self.controller.joints):
+            j, block = self.robot.index(name), self.controller.blocks[i]
+            _, loop, _, in_effect, _, _ = self.core.joint_state(i)
+            w, limit = inputs[j].copy(), float(block["torque_limit"])
+            w[TORQUE] -= weight[j]
+            w[IN_EFFECT] = torque = min(max(in_effect - weight[j], -limit), limit)
+            if not loop:
+                w[POSITION:] = 0.0
+            self.core.preset(i, equilibrium_state(block, w), torque)
+        if not on:
+            self._drives["gravity"] = 0.0
+        self.supervise(self._supervisor)
+
+    def carry(self, loaded: Plant, payloads: Sequence[Payload]) -> None:
+        """Carries other loads from now on, with a shorter time step where their plant needs one."""
         if loaded.timestep < self.plant.timestep * (1 - 1e-12):
-            return False
+            self._refine(loaded.timestep)
         model = loaded.model
         if model.opt.timestep != self.plant.timestep:
             model = copy.copy(model)
@@ -339,7 +383,6 @@ class LiveArm(Loop):
         self._model, self._data = model, carry(model, self._data)
         self._plant = replace(self._plant, model=model)
         self.payloads = tuple(payloads)
-        return True
 
     def begin(self, fault: Fault) -> list[int]:
         """Lets something fail from the coming tick on; returns its places in the script, for `end`.
@@ -439,6 +482,24 @@ class LiveArm(Loop):
     def _refuse_if_stopped(self, joint: str | None = None) -> None:
         if self.state != TRACK:
             raise InputError("the supervisor has stopped the arm; resume first", joint=joint)
+
+    def _refine(self, timestep: float) -> None:
+        """Goes on from here with a shorter time step [s]."""
+        coarse, fine = self._plant, with_timestep(self._plant, timestep)
+        drives, h = self._drives, self.config.period
+        before, after = round(h / coarse.timestep), round(h / timestep)
+        # Of the drives only constants know of the step; their states are torques, but for two.
+        for name in fine.drives.dtype.names or ():
+            if (fine.drives[name] != coarse.drives[name]).any():
+                drives[name] = fine.drives[name]
+        drives["sum"] *= after / before  # of the torque over the steps of this period
+        for drive, was in zip(drives, coarse.drives["sensor_delay"], strict=True):
+            if was > 0:  # torques under way to the sensor, in places that the number of the step gives
+                oldest_first = drive["delay"][(self.tick * before + np.arange(was)) % was]
+                now = int(drive["sensor_delay"])
+                seen = np.interp(np.linspace(0, was - 1, now), np.arange(was), oldest_first)
+                drive["delay"][(self.tick * after + np.arange(now)) % now] = seen
+        self._plant = fine
 
     def _move_like(self, other: LiveArm) -> None:
         for name in ("qpos", "qvel", "qacc_warmstart"):

@@ -114,6 +114,7 @@ class Page:
         """Has the session begin something, and runs on."""
         what(self.session)
         self.robot_name, self.controller_name = robot, controller
+        self.guide.forget()
         self.arm_panel.name()
         self._watch()
         if self.visitors and self.wakes:

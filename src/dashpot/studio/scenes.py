@@ -1,4 +1,7 @@
-"""The paper's three experiments as guided scenes, told in two sentences each, and live afterwards."""
+"""The paper's three experiments as guided scenes, told in two sentences each, and live afterwards.
+
+No supervisor is in charge in them: it would stop the arm before what they show.
+"""
 
 from __future__ import annotations
 
@@ -51,13 +54,12 @@ def play(scene: GuidedScene, session: Session) -> None:
 
 
 def _tracking(session: Session) -> None:
-    session.supervised = False
     robot = Robot.load("k807")
     home = np.array(robot.home)
     amplitude = np.full(len(home), AMPLITUDE)
     session.load(
         robot, load_controller("k807-wrist"), _weight(10), (_beam(),),
-        lambda _: Wander.of(home, amplitude, PERIOD, SEED), SEED,
+        lambda _: Wander.of(home, amplitude, PERIOD, SEED), SEED, False,
     )  # fmt: skip
     session.set_rival("PD, same kp and kd")
     session.tell(
@@ -67,13 +69,12 @@ def _tracking(session: Session) -> None:
 
 
 def _braking(session: Session) -> None:
-    session.supervised = False
     robot, config = Robot.load("k807"), load_controller("k807-wrist")
     j = robot.index("joint7")
     path = multisine(
         robot.home, LONG, PERIOD, SEED, amplitude=AMPLITUDE, peak_speed_at={j: RELEASE}, lead_in=0.0
     )
-    session.load(robot, config, _weight(10), (_beam(),), lambda _: Play(path), SEED)
+    session.load(robot, config, _weight(10), (_beam(),), lambda _: Play(path), SEED, False)
     session.set_rival("law bypassed", rival_of("PD, same kp and kd", config, robot))
 
     def cut() -> None:
@@ -93,7 +94,6 @@ def _braking(session: Session) -> None:
 
 
 def _resonance(session: Session) -> None:
-    session.supervised = False
     robot, config = Robot.load("k807"), load_controller("k807-resonant")
     gains = Setup(robot, config, {})
     path = towards_parallel(gains, RESONANT_SEED)
@@ -105,7 +105,7 @@ def _resonance(session: Session) -> None:
         acceleration=path.acceleration[keep:],
         start=0.0,
     )
-    session.load(robot, config, _weight(5), (_beam(),), lambda _: Play(path), RESONANT_SEED)
+    session.load(robot, config, _weight(5), (_beam(),), lambda _: Play(path), RESONANT_SEED, False)
 
     def tap() -> None:
         # A half sine, in the ten steps of its duration.

@@ -29,6 +29,7 @@ class Session(Told):
         ring, rival_ring: The last minute.
         energies: Time and energies of every window, oldest first.
         news: What happened, oldest first.
+        carried: Whether robots that can carry their own weight do.
         joint: Name of the joint on show.
         generation: Counts how often the arm was exchanged: what is drawn of it must be drawn anew.
     """

@@ -88,13 +88,23 @@ class Told(Arms):
         with self._lock:
             held = self.arm.energy()
             for arm in self._arms():
-                if not arm.carry(plant, loads):
-                    self._exchange(self.config, plant, loads)
-                    break
+                arm.carry(plant, loads)
             self.payload = load
             self.account.restate(held, self.arm.energy())
             self.generation += 1
             self._tell(f"payload {mass:.2f} kg ({mass / POUND:.1f} lb)")
+
+    def compensate(self, on: bool) -> None:
+        """Has robots that can do so carry their own weight, or leave it to the controller.
+
+        Raises:
+            InputError: The robot cannot, or the supervisor has stopped the arm.
+        """
+        with self._lock:
+            for arm in self._arms():
+                arm.compensate(on)
+            self.carried = on
+            self._tell("the robot carries its own weight" if on else "the controller carries the robot")
 
     def tap(self, joint: str, torque: float) -> None:
         """Knocks a link for 0.1 s [N m].
@@ -234,7 +244,7 @@ class Told(Arms):
     def supervise(self, on: bool) -> None:
         """Puts the supervisor in charge, or nobody."""
         with self._lock:
-            self.supervised = on
+            self.supervised = self._supervise = on
             self.arm.supervise(SupervisorSettings() if on else None)
             self._tell("supervisor " + ("on" if on else "off"))
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from dashpot.controller import BUNDLED as CONTROLLERS
+from dashpot.errors import DashpotError
 from dashpot.payload import Payload
 from dashpot.robot import BUNDLED
+from dashpot.studio.choices import CONTROLLER_OF
 from dashpot.studio.markup import block
 from dashpot.studio.panels.shared import Beside, NumberField, Settled, by_hand, set_quietly
 from dashpot.studio.told import HEAVIEST, POUND
@@ -14,7 +16,6 @@ from dashpot.studio.told import HEAVIEST, POUND
 if TYPE_CHECKING:
     from dashpot.studio.page import Page
 
-DEFAULTS = {"k807": "k807-wrist", "fr3": "fr3", "iiwa14": "iiwa14"}
 TAP = 5.0  # [N m]
 
 
@@ -51,6 +52,12 @@ class ArmPanel:
             )
             self._shown = tuple(float(part) for part in session.payload.position)
             self._beside_load = Beside(gui)
+            self._carried: Any = gui.add_checkbox(
+                "robot carries its own weight",
+                initial_value=session.carried,
+                hint="Its gravity compensation, below the controller; off: the controller carries the arm",
+                visible=session.robot.gravity_compensation,
+            )
         with gui.add_folder("Motion"):
             self._pose = gui.add_button_group("go to", tuple(session.poses))
             self._amplitude = gui.add_slider(
@@ -67,6 +74,7 @@ class ArmPanel:
         self._load.on_click(lambda _: self._loaded())
         by_hand(self._mass, lambda kg: self._weigh(float(kg)))
         by_hand(self._offset, Settled(lambda _: self._weigh(page.session.payload.mass)))
+        by_hand(self._carried, self._compensated)
         self._pose.on_click(lambda _: self._do(lambda: page.session.go(self._pose.value)))
         self._move.on_click(lambda _: self._do(lambda: page.session.move(float(self._amplitude.value))))
         self._hold.on_click(lambda _: self._do(page.session.hold))
@@ -85,6 +93,10 @@ class ArmPanel:
         if tuple(self._pose.options) != tuple(session.poses):
             self._pose.options = tuple(session.poses)
 
+        if self._carried.visible != session.robot.gravity_compensation:
+            self._carried.visible = session.robot.gravity_compensation
+        set_quietly(self._carried, session.carried)
+
     def name(self) -> None:
         """Shows the names of what was loaded elsewhere."""
         set_quietly(self._robot, self._page.robot_name)
@@ -92,16 +104,30 @@ class ArmPanel:
 
     def _picked(self, event: Any) -> None:
         name = event.target.value
-        self._robot.value, self._controller.value = name, DEFAULTS[name]
+        self._robot.value, self._controller.value = name, CONTROLLER_OF[name]
         self._loaded()
 
     def _loaded(self) -> None:
+        page, robot, controller = self._page, self._robot.value.strip(), self._controller.value.strip()
+        if robot != page.robot_name and controller == page.controller_name:  # that of the arm before
+            controller = CONTROLLER_OF.get(robot, controller)
         with self._beside.explained():
-            self._page.load(self._robot.value.strip(), self._controller.value.strip(), Payload(0.0))
+            try:
+                page.load(robot, controller, Payload(0.0))
+            except (DashpotError, OSError) as error:
+                raise DashpotError(f"{robot} under {controller}: {error}") from None
+        if self._beside.failed:  # the fields say what runs
+            self._robot.value, self._controller.value = page.robot_name, page.controller_name
 
     def _weigh(self, mass: float) -> None:
         with self._beside_load.explained():
             self._page.session.set_payload(mass, tuple(float(part) for part in self._offset.value))  # type: ignore[arg-type]
+
+    def _compensated(self, on: bool) -> None:
+        with self._beside_load.explained():
+            self._page.session.compensate(bool(on))
+        if self._beside_load.failed:
+            self._carried.value = self._page.session.carried
 
     def _do(self, act: Any) -> None:
         with self._beside_motion.explained():

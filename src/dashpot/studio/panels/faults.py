@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 ALL = "all joints"
 LINES = 12  # of news
 STATES = "track → torque brake → encoder brake → safe: it only gets worse until you resume"
+HEAL_FIRST = "heal the faults first, or it will stop again"
 
 
 class FaultPanel:
@@ -28,6 +29,7 @@ class FaultPanel:
             "Stop", color="orange", hint="The operator's stop: brakes by the torque sensors"
         )
         self._resume = gui.add_button("Resume tracking")
+        self._warning = gui.add_html("")
         self._restart = gui.add_button("Start again at home")
         self._joint: Any = gui.add_dropdown(
             "joint", (*page.session.arm.controller.joints, ALL), initial_value=page.session.joint
@@ -85,6 +87,10 @@ class FaultPanel:
         )
         if self._state.content != content:
             self._state.content = content
+        again = session.faults and session.arm.state != "track"
+        content = markup.block(HEAL_FIRST, "0 12px 4px") if again else ""
+        if self._warning.content != content:
+            self._warning.content = content
         latest = session.latest()[-LINES:][::-1]
         content = markup.news([(line.time, line.text, line.kind) for line in latest])
         if self._news.content != content:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from dashpot.studio.page import Page
 
 NONE = "none"
+UNSUPERVISED = "No supervisor runs in a scene; what you load next has yours again."
 WELCOME = (
     "A motor under <b>virtual passive control</b> imitates a mass, a spring and a dashpot, from its torque "
     "sensor alone: it brakes without an encoder, and under a position loop the error hardly depends on the "
@@ -40,6 +41,10 @@ class GuidePanel:
         self._beside_rival = Beside(gui)
         by_hand(self._rival, self._chosen)
 
+    def forget(self) -> None:
+        """Another arm runs: takes the scene's words away."""
+        self._words.content = ""
+
     def refresh(self) -> None:
         """Shows the rival's name."""
         name = self._page.session.rival_name or NONE
@@ -51,7 +56,8 @@ class GuidePanel:
         with self._beside.explained():
             self._page.begin(lambda session: play(scene, session), "k807", "k807-wrist")
             self._words.content = block(
-                f'<div style="border-left:3px solid {BLUE};padding:2px 8px">{escaped(scene.words)}</div>',
+                f'<div style="border-left:3px solid {BLUE};padding:2px 8px">{escaped(scene.words)}'
+                f'<div style="color:#666">{UNSUPERVISED}</div></div>',
                 "6px 12px",
             )
 

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dashpot._native as _native
+from dashpot.compensation import compensation
 from dashpot.controller import MODES, Controller, ControllerConfig, Mode
 from dashpot.equilibrium import settle
 from dashpot.errors import InputError
 from dashpot.faults import Fault
-from dashpot.loop import Loop, _compensation, carry
+from dashpot.loop import Loop, carry
 from dashpot.payload import Payload
 from dashpot.plant import Plant, with_timestep
 from dashpot.recording import CHANNELS
@@ -354,7 +355,7 @@ class LiveArm(Loop):
         self._refuse_if_stopped()
         assert self.core is not None
         self.scenario = replace(self.scenario, gravity_compensation=on)
-        before, self._gravity = self._gravity, _compensation(self.scenario, self._plant)
+        before, self._gravity = self._gravity, compensation(self.scenario, self._plant)
         own = self._gravity or before
         assert own is not None
         weight = own.torque(np.array(self._data.qpos[self.plant.rotor_qpos])) * (1 if on else -1)

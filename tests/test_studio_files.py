@@ -73,7 +73,11 @@ def test_log_for_identify(session: Session, tmp_path: Path, suffix: str) -> None
 def test_controller(session: Session, tmp_path: Path) -> None:
     session.edit("joint6", R=7.5, D=3.25)
     file = tmp_path / "controller.toml"
-    file.write_text(saved_controller(session))
+    session.set_payload(2.0, 0.1)
+    text = saved_controller(session)
+    assert "k807" in text
+    assert "with 2 kg at (0.1, 0, 0) m" in text
+    file.write_text(text)
     back = load_controller(file)
     assert back.joints == session.config.joints
     for key in ("period", "latency", "latency_max", "sampling", "form", "blend"):

@@ -36,6 +36,11 @@ class Range:
     typical: tuple[float, float] | None = None
 
     @property
+    def behind(self) -> str:
+        """The unit as it stands behind a number; "" where there is none."""
+        return "" if self.unit == "-" else f" {self.unit}"
+
+    @property
     def rule(self) -> str:
         """The rule in words."""
         if self.low == 0 and math.isinf(self.high):
@@ -57,6 +62,28 @@ def number(
     return dataclasses.field(
         default=default, metadata={"range": Range(unit, low, high, open_low, typical)}, kw_only=kw_only
     )
+
+
+def unusual(record: Any, *, file: object = None, joint: str | None = None) -> list[str]:
+    """In words, which `number` fields of a valid record lie far outside what is seen on real robots."""
+    found = []
+    for f in dataclasses.fields(record):
+        limits: Range | None = f.metadata.get("range")
+        value: Any = getattr(record, f.name)
+        if limits is None or limits.typical is None or value is None or value == 0 or math.isinf(value):
+            continue
+        low, high = limits.typical
+        if not low <= abs(value) <= high:
+            side = ", on the link side of the gear" if joint is not None else ""
+            message = InputError(
+                f"is unusual (typical: {low:g} to {high:g}{limits.behind}); check the unit: SI{side}",
+                file=file,
+                joint=joint,
+                quantity=f"{f.name} [{limits.unit}]",
+                value=value,
+            )
+            found.append(str(message))
+    return found
 
 
 def check_numbers(record: Any, *, file: object = None, joint: str | None = None) -> None:
@@ -88,16 +115,9 @@ def check_numbers(record: Any, *, file: object = None, joint: str | None = None)
             raise InputError("must be finite", **where)
         too_low = value <= limits.low if limits.open_low else value < limits.low
         if too_low or (value > limits.high and not unlimited):
-            raise InputError(f"{limits.rule} {limits.unit}", **where)
-        if limits.typical and value != 0 and not unlimited:
-            low, high = limits.typical
-            if not low <= abs(value) <= high:
-                side = ", on the link side of the gear" if joint is not None else ""
-                message = InputError(
-                    f"is unusual (typical: {low:g} to {high:g} {limits.unit}); check the unit: SI{side}",
-                    **where,
-                )
-                warnings.warn(str(message), InputWarning, stacklevel=3)
+            raise InputError(f"{limits.rule}{limits.behind}", **where)
+    for message in unusual(record, file=file, joint=joint):
+        warnings.warn(message, InputWarning, stacklevel=3)
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -24,11 +24,11 @@ from dashpot.robot import Robot
 from dashpot.sampled import POSITION, VELOCITY, empty_block, without_encoder
 
 DOCUMENT = "docs/certificate.md"
+ASSUMED = "Assumed: constant references, torques below their limits, linear drives within the stated box."
 STATEMENT = (
     "A certified joint gives out no more energy than was put in, whatever passive load hangs on it; no "
     "passive mechanism, payload, pose or contact can make an arm of certified joints oscillate. "
-    "Assumed: constant references, torques below their limits, linear drives within the stated box. "
-    f"Backlash, presliding friction and a moving reference are outside; see {DOCUMENT}."
+    f"{ASSUMED} Backlash, presliding friction and a moving reference are outside; see {DOCUMENT}."
 )
 
 

@@ -22,7 +22,7 @@ from dashpot.faults import Fault
 from dashpot.payload import Payload
 from dashpot.plant import Plant, build
 from dashpot.robot import Robot
-from dashpot.studio.choices import poses, rival_of
+from dashpot.studio.choices import carriable, poses, rival_of
 from dashpot.studio.energy import Account, Energy
 from dashpot.studio.live import LiveArm
 from dashpot.studio.margins import Certifier
@@ -100,6 +100,8 @@ class Arms:
         Raises:
             DashpotError: They cannot be used; everything stays as it was.
         """
+        if payload is not None:
+            carriable(payload.mass, payload.offset)
         arm = robot if isinstance(robot, Robot) else Robot.load(robot)
         config = controller if isinstance(controller, ControllerConfig) else load_controller(controller)
         loads = [*fixed, *([payload] if payload is not None and payload.mass > 0 else [])]
@@ -299,7 +301,7 @@ class Arms:
 
 
 class quiet(warnings.catch_warnings):  # noqa: N801 - reads as a statement
-    """Input warnings are for the terminal; here the margins show what they say."""
+    """Input warnings are for the terminal; here the fields and the margins show what they say."""
 
     def __enter__(self) -> None:
         super().__enter__()

@@ -19,10 +19,15 @@ HEIGHT = 118  # [px]
 LABEL = 16  # [px] more where the axis has a name
 PURPLE = "#9A4E7B"
 CHARTS = (
-    ("torque", "Sensed torque", "N m"),
-    ("error", "Tracking error", "deg"),
-    ("speed", "Speed", "deg/s"),
+    ("torque", "Sensed torque", "N m", 0.05),
+    ("error", "Tracking error", "deg", 0.02),
+    ("speed", "Speed", "deg/s", 0.05),
 )
+"""Name, title, unit, and the least that the axis spans: the browser writes three decimals, and a shorter one
+would read 0, 0, -0.
+"""
+LEAST_ENERGY = 0.02  # [J]
+UNSEEN: Any = {"label": "range", "stroke": "transparent", "width": 0, "points": {"show": False}}
 ENERGY = (
     ("kinetic", BLUE, ()),
     ("potential", GREEN, (8, 4)),
@@ -42,9 +47,10 @@ class Charts:
             self._legends.append(gui.add_html(""))
             self._plots.append(
                 gui.add_uplot(
-                    (empty, empty, empty, empty),
+                    (empty, empty, empty, empty, empty),
                     (
                         {},
+                        UNSEEN,
                         {"label": "supervisor", "stroke": ORANGE, "width": 1, "points": {"show": False}},
                         {
                             "label": "beside it", "stroke": VERMILLION, "width": 1.5, "dash": (6, 4),
@@ -62,16 +68,17 @@ class Charts:
         gui.add_html(markup.legend("Energy", "J", legend))
         series: tuple[Any, ...] = (
             {},
+            UNSEEN,
             *(
                 {"label": name, "stroke": colour, "width": 1.5, "dash": dash, "points": {"show": False}}
                 for name, colour, dash in ENERGY
             ),
         )
-        self._energy = gui.add_uplot((empty,) * 5, series, **_options("time [s]"))
+        self._energy = gui.add_uplot((empty,) * 6, series, **_options("time [s]"))
 
     def label(self, session: Session) -> None:
         """Writes the titles: the joint on show and the rival."""
-        for place, (_, title, unit) in zip(self._legends, CHARTS, strict=True):
+        for place, (_, title, unit, _) in zip(self._legends, CHARTS, strict=True):
             entries = [("this", BLUE, "solid")]
             if session.rival_name:
                 entries.append((session.rival_name, VERMILLION, "dashed"))
@@ -100,11 +107,21 @@ class Charts:
             spikes = shown[:, k].copy()
             for when in marks:  # a line from the curve to the top
                 spikes[min(int(np.searchsorted(time, when)), len(time) - 1)] = shown[:, k].max()
-            plot.data = (time, spikes, beside[:, k], shown[:, k])
+            span = least_span(np.stack([shown[:, k], beside[:, k]]), CHARTS[k][3])
+            plot.data = (time, span, spikes, beside[:, k], shown[:, k])
         energy = session.energy_since(time[0])
         if len(energy) > 3:
             rows, values = envelope(energy[:, 1:], BINS)
-            self._energy.data = (energy[rows, 0], *values.T)
+            self._energy.data = (energy[rows, 0], least_span(values.T, LEAST_ENERGY), *values.T)
+
+
+def least_span(lines: Floats, least: float) -> Floats:
+    """A line (k,) that is not seen and has the axis of lines (m, k) span at least so much."""
+    low, high = float(lines.min()), float(lines.max())
+    middle, half = (low + high) / 2, max(high - low, least) / 2
+    found = np.full(lines.shape[1], middle)
+    found[0], found[-1] = middle - half, middle + half
+    return found
 
 
 def _lines(past: Past, j: int) -> Floats:

@@ -12,6 +12,7 @@ from dashpot.drive import Drive
 from dashpot.errors import InputError
 from dashpot.faults import FaultKind
 from dashpot.law import static_R
+from dashpot.payload import Payload
 from dashpot.plant import Plant
 from dashpot.rivals.brakes import Off, RotorObserver, StaticFeedback
 from dashpot.rivals.tracking import PD, PID, InertiaShaping, PDScaled
@@ -77,6 +78,25 @@ def rival_of(name: str, config: ControllerConfig, robot: Robot) -> ControllerCon
 
 CONTROLLER_OF = {"k807": "k807-wrist", "fr3": "fr3", "iiwa14": "iiwa14"}
 """Bundled robot -> its bundled controller."""
+
+
+HEAVIEST, FARTHEST = 20.0, 2.0  # [kg] on the flange, [m] along each axis from it
+POUND = 0.45359237  # [kg]
+
+
+def carriable(mass: float, offset: float | tuple[float, float, float]) -> Payload:
+    """A load [kg] at an offset [m] that may hang on an arm of the studio.
+
+    Raises:
+        InputError: It is too heavy, or too far out.
+    """
+    if not 0 <= mass <= HEAVIEST:
+        raise InputError(f"must be 0 to {HEAVIEST:g} kg", quantity="payload [kg]", value=mass)
+    if not np.abs(np.asarray(offset, float)).max() <= FARTHEST:
+        raise InputError(
+            f"must be {-FARTHEST:g} to {FARTHEST:g} m along each axis", quantity="offset [m]", value=offset
+        )
+    return Payload(mass, offset)
 
 
 def controller_of(robot: str) -> str:

@@ -17,6 +17,7 @@ from dashpot.errors import InputError
 from dashpot.laws import to_table
 from dashpot.log import from_recording
 from dashpot.logfiles import write_log
+from dashpot.payload import Payload
 from dashpot.recording import CHANNELS, Recording
 from dashpot.studio.session import Session
 from dashpot.trajectory import Trajectory
@@ -24,16 +25,25 @@ from dashpot.trajectory import Trajectory
 FRAMES = 25  # of a replay [1/s]
 
 
-def controller_toml(config: ControllerConfig, robot: str, verdicts: dict[str, str]) -> str:
+def controller_toml(
+    config: ControllerConfig, robot: str, verdicts: dict[str, str], payload: Payload | None = None
+) -> str:
     """A controller file that `load_controller` reads back as it is.
 
     Args:
         config: The controller.
         robot: Name of the arm, for the comment.
         verdicts: Joint -> what is known of its certificate, for the comments.
+        payload: What the arm carried, for the comment.
     """
+    load = payload or Payload(0.0)
+    carried = "without payload"
+    if load.mass > 0:
+        at = ", ".join(f"{float(part):g}" for part in load.position)
+        carried = f"with {load.mass:.4g} kg at ({at}) m on the flange"
     lines = [
-        f"# Controller for {robot}, saved from the studio of dashpot {dashpot.__version__}.",
+        f"# Controller for {robot}, saved from the studio of dashpot {dashpot.__version__}; it ran",
+        f"# {carried}.",
         "# What is certified is said per joint as it was known then; dashpot certify proves it again.",
         "",
         f"period = {value(config.period)}  # s",
@@ -57,7 +67,8 @@ def controller_toml(config: ControllerConfig, robot: str, verdicts: dict[str, st
 def saved_controller(session: Session) -> str:
     """The session's controller as TOML."""
     rows = session.certifier.margins() if session.certifier else []
-    return controller_toml(session.config, session.robot.name, {row.joint: row.verdict for row in rows})
+    known = {row.joint: f"{row.verdict}, margin {row.index:.3g} N m s/rad" for row in rows}
+    return controller_toml(session.config, session.robot.name, known, session.payload)
 
 
 def recording(session: Session, seconds: float | None = None) -> Recording:

@@ -15,9 +15,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from dashpot.certify.certificate import ASSUMED
 from dashpot.certify.map import IndexMap
 from dashpot.sampled import Floats
 from dashpot.studio.margins import Margin, Plane
+from dashpot.studio.snapshot import Snapshot
 
 BLUE, VERMILLION, GREEN, GREY, ORANGE = "#0072B2", "#D55E00", "#009E73", "#7A7A7A", "#B87500"
 SIGN = {"certified": ("✓", BLUE), "checking": ("…", GREY), "not certified": ("✗", VERMILLION)}
@@ -51,6 +53,16 @@ def trouble(text: str) -> str:
     )
 
 
+def remark(text: str) -> str:
+    """Beside a field, what is worth knowing of what was taken; "" takes no room."""
+    if not text:
+        return ""
+    inner = (
+        f'<div class="dp-remark" style="border-left:3px solid {ORANGE};padding:3px 8px">{escaped(text)}</div>'
+    )
+    return block(inner, "2px 12px")
+
+
 def margins(rows: Sequence[Margin], chosen: str, modes: dict[str, str]) -> str:
     """A bar per joint: the worst damping its port shows, over what the drive shows alone."""
     most = max([1.0, *(row.share for row in rows if np.isfinite(row.share))])
@@ -79,21 +91,30 @@ def margins(rows: Sequence[Margin], chosen: str, modes: dict[str, str]) -> str:
         '<div style="display:flex;justify-content:space-between"><b>Certificate</b>'
         '<span style="color:#666">margin [N m s/rad]</span></div>'
         f'<table style="width:100%;border-collapse:collapse">{"".join(lines)}</table>{words}'
+        f'<div style="color:#666;font-size:11px">{escaped(ASSUMED)}</div>'
     )
 
 
-def status(
-    state: str, brake: bool, factor: float, running: bool, time: float, supervised: bool, payload: float
-) -> str:
-    """The line on top: state, time, load."""
+def status(now: Snapshot, supervised: bool, runs: str) -> str:
+    """The lines on top: state and time; what runs, with its load; whether torque is short."""
+    state, brake, factor, running, time = now.state, now.brake_closed, now.factor, now.running, now.time
+    limited = (
+        f'<span id="dp-limited" style="color:{VERMILLION};white-space:nowrap;font-weight:600">'
+        "at its torque limit</span>"
+        if now.limited
+        else ""
+    )
     word, colour = STATE[state] if supervised else ("no supervisor", GREY)
     pace = f"real time × {factor:.2f}" if running else "paused"
     closed = ", brakes closed" if brake else ""
     return block(
-        f'<div style="display:flex;justify-content:space-between;align-items:center">'
+        f'<div style="display:flex;justify-content:space-between;align-items:center;gap:10px">'
         f'<span id="dp-state" data-state="{state}" style="background:{colour};color:#fff;border-radius:3px;'
-        f'padding:1px 8px;font-weight:600">{word}{closed}</span>'
-        f"<span>{time:.1f} s · {pace}</span><span>{payload:.2f} kg</span></div>",
+        f'padding:1px 8px;font-weight:600;white-space:nowrap">{word}{closed}</span>'
+        f'<span style="white-space:nowrap">{time:.1f} s · {pace}</span></div>'
+        f'<div style="display:flex;justify-content:space-between;gap:10px;margin-top:3px">'
+        f'<span id="dp-runs" style="overflow:hidden;text-overflow:ellipsis;white-space:nowrap" '
+        f'title="{escaped(runs)}">{escaped(runs)}, {now.payload:.2f} kg</span>{limited}</div>',
         "0 12px 8px",
     )
 
@@ -123,9 +144,16 @@ def news(lines: Sequence[tuple[float, str, str]]) -> str:
     return block(f'<table style="border-collapse:collapse">{rows}</table>')
 
 
-def plane(shown: Plane, joint: str, width: int = 330) -> str:
-    """The map of R and D with the current point, and the window over load inertia, as SVG."""
-    return block(_map(shown, joint, width) + _window(shown, width), "0 8px")
+def plane(shown: Plane, joint: str, width: int = 330, now: float = np.nan) -> str:
+    """The map of R and D with the current point, and the window over load inertia, as SVG.
+
+    Args:
+        shown: What is known.
+        joint: Its name.
+        width: [px].
+        now: Inertia that the joint moves now [kg m^2]; NaN: none is marked.
+    """
+    return block(_map(shown, joint, width) + _window(shown, width, now), "0 8px")
 
 
 LEFT, BOTTOM, HEIGHT = 44, 30, 150  # [px] of the map
@@ -215,7 +243,7 @@ def _edges(places: Floats) -> Floats:
     return np.concatenate([[2 * places[0] - middle[0]], middle, [2 * places[-1] - middle[-1]]])
 
 
-def _window(shown: Plane, width: int) -> str:
+def _window(shown: Plane, width: int, now: float) -> str:
     left, bottom, height = 44, 30, 100
     w, h = width - left - 8, height - bottom - 8
     ratio = shown.damping
@@ -238,12 +266,20 @@ def _window(shown: Plane, width: int) -> str:
     pieces.append(path)
     line = "".join(f'<path d="{p}" fill="none" stroke="{BLUE}" stroke-width="2"/>' for p in pieces if p)
     bad = good & (ratio < 0)
-    words = "no free load oscillates"
+    words = "no load that is an inertia alone oscillates"
     if bad.any():
         worst = int(np.nanargmin(ratio))
         words = (
-            f"oscillates with {shown.inertia[bad][0]:.2g} to {shown.inertia[bad][-1]:.2g} kg m², worst at "
+            f"an inertia alone oscillates with {shown.inertia[bad][0]:.2g} to {shown.inertia[bad][-1]:.2g} kg m², worst at "
             f"{shown.frequency[worst]:.2g} Hz"
+        )
+    mark = ""
+    if np.isfinite(now) and shown.inertia[0] <= now <= shown.inertia[-1]:
+        at = round(left + w * (np.log10(now) - x0) / (x1 - x0))
+        end, dx = ("end", -3) if at > left + 0.85 * w else ("start", 3)
+        mark = (
+            f'<line id="dp-inertia" x1="{at}" x2="{at}" y1="8" y2="{8 + h}" stroke="#000" stroke-width="1"/>'
+            f'<text x="{at + dx}" y="18" text-anchor="{end}">now</text>'
         )
     ticks = "".join(
         f'<text x="{left + w * (np.log10(v) - x0) / (x1 - x0):.0f}" y="{8 + h + 13}" text-anchor="middle">{v:g}</text>'
@@ -253,7 +289,7 @@ def _window(shown: Plane, width: int) -> str:
         f'<svg width="{width}" height="{height}" role="img" aria-label="{words}" font-size="11" fill="#222">'
         f'<rect x="{left}" y="{zero:.1f}" width="{w}" height="{max(8 + h - zero, 0):.1f}" fill="{VERMILLION}" '
         f'opacity="0.14"/><line x1="{left}" x2="{left + w}" y1="{zero:.1f}" y2="{zero:.1f}" stroke="#444"/>{line}'
-        f'<rect x="{left}" y="8" width="{w}" height="{h}" fill="none" stroke="#999"/>'
+        f'<rect x="{left}" y="8" width="{w}" height="{h}" fill="none" stroke="#999"/>{mark}'
         f'<text x="{left - 5}" y="{zero + 4:.0f}" text-anchor="end">0</text>'
         f'<text x="{left - 5}" y="16" text-anchor="end">{high:.2g}</text>{ticks}'
         f'<text x="{left + w / 2:.0f}" y="{height - 5}" text-anchor="middle">load inertia [kg m²]</text>'
@@ -292,4 +328,4 @@ def _png(pixels: NDArray[np.uint8]) -> str:
     return "data:image/png;base64," + base64.b64encode(data).decode()
 
 
-__all__ = ["block", "escaped", "legend", "margins", "news", "plane", "status", "trouble"]
+__all__ = ["block", "escaped", "legend", "margins", "news", "plane", "remark", "status", "trouble"]

@@ -206,15 +206,8 @@ class Page:
 
     def _show_text(self) -> None:
         now = self.session.snapshot()
-        content = markup.status(
-            now.state,
-            now.brake_closed,
-            now.factor,
-            now.running,
-            now.time,
-            self.session.supervised,
-            now.payload,
-        )
+        runs = f"{self.robot_name} under {self.controller_name}"
+        content = markup.status(now, self.session.supervised, runs)
         if self.status.content != content:
             self.status.content = content
         self.faults.tell()

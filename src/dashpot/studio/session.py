@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import math
 
+import mujoco
 import numpy as np
 
+from dashpot.controller import TORQUE_LIMITED
 from dashpot.sampled import Floats
 from dashpot.studio.ring import Past
 from dashpot.studio.snapshot import News, Snapshot
 from dashpot.studio.told import Told
+
+LIMITED_FOR = 0.5  # [s] for which a torque limit that was reached is told
 
 
 class Session(Told):
@@ -54,6 +58,7 @@ class Session(Told):
                 self.payload.mass,
                 tuple(self.faults),
                 push,
+                bool((self.ring.past(LIMITED_FOR).status & TORQUE_LIMITED).any()),
                 arm.diverged is not None,
             )
 
@@ -61,6 +66,15 @@ class Session(Told):
         """Positions (nbody, 3) [m] and quaternions wxyz (nbody, 4) of the arm, and of the rival."""
         with self._lock:
             return [(np.array(arm.data.xpos), np.array(arm.data.xquat)) for arm in self._arms()]
+
+    def inertia(self, joint: str) -> float:
+        """Of all that a joint moves, about its axis, in the present pose with the present load [kg m^2]."""
+        with self._lock:
+            model, data = self.arm.model, self.arm.data
+            mass = np.zeros((model.nv, model.nv))
+            mujoco.mj_fullM(model, data, mass)
+            dof = int(self.arm.plant.spring_dof[self.robot.index(joint)])
+            return float(mass[dof, dof])
 
     def latest(self, since: float = -math.inf) -> list[News]:
         """What happened since a time on the session's clock [s], oldest first."""

@@ -42,6 +42,7 @@ class Snapshot:
         payload: On the flange [kg].
         faults: Names of what fails.
         push: Force of the hand [N], (3,), and where it acts [m], (3,); None: there is none.
+        limited: Whether a torque limit was reached within the last half second.
         diverged: Whether the simulation blew up.
     """
 
@@ -59,6 +60,7 @@ class Snapshot:
     payload: float
     faults: tuple[str, ...]
     push: tuple[Floats, Floats] | None
+    limited: bool
     diverged: bool
 
 

@@ -10,19 +10,18 @@ import numpy as np
 from dashpot.controller import ControllerConfig, Mode
 from dashpot.errors import InputError
 from dashpot.faults import Fault, FaultKind
-from dashpot.payload import Payload
 from dashpot.plant import build
 from dashpot.release import release_events
 from dashpot.sampled import Floats
 from dashpot.studio.arms import Arms, quiet
+from dashpot.studio.choices import POUND, carriable
 from dashpot.studio.live import LiveArm
 from dashpot.studio.push import Push
 from dashpot.studio.references import Reference, go_to, wander
 from dashpot.supervisor import SupervisorSettings
 from dashpot.tables import as_float
 
-HEAVIEST = 20.0  # [kg] on the flange
-POUND = 0.45359237  # [kg]
+MOST_AMPLITUDE = 1.0  # [rad] of a motion about a pose
 
 
 class Told(Arms):
@@ -46,10 +45,11 @@ class Told(Arms):
         """Moves about a pose for ever, every joint by up to an amplitude [rad].
 
         Raises:
-            InputError: The amplitude is not between 0 and 1 rad.
+            InputError: The amplitude is not in its range.
         """
-        if not 0 < amplitude <= 1:
-            raise InputError("must be above 0 and at most 1 rad", quantity="amplitude [rad]", value=amplitude)
+        if not 0 < amplitude <= MOST_AMPLITUDE:
+            rule = f"must be above 0 and at most {MOST_AMPLITUDE:g} rad"
+            raise InputError(rule, quantity="amplitude [rad]", value=amplitude)
         with self._lock:
             target = self._pose(pose)
             drives = self.arm.plant.drives
@@ -79,11 +79,9 @@ class Told(Arms):
         Raises:
             InputError: It cannot be carried or simulated.
         """
-        if not 0 <= mass <= HEAVIEST:
-            raise InputError(f"must be 0 to {HEAVIEST:g} kg", quantity="payload [kg]", value=mass)
-        load = Payload(mass, self.payload.offset if offset is None else offset)
-        loads = [*self._fixed, *([load] if mass > 0 else [])]
         with quiet():
+            load = carriable(mass, self.payload.offset if offset is None else offset)
+            loads = [*self._fixed, *([load] if mass > 0 else [])]
             plant = build(self.robot, self.config.period, loads)
         with self._lock:
             held = self.arm.energy()
@@ -159,7 +157,8 @@ class Told(Arms):
                         f'law "{law.law}" has no such number', joint=law.name, quantity=unknown[0]
                     )
                 values: dict[str, Any] = {key: as_float(value) for key, value in numbers.items()}
-                laws[i] = replace(law, **values)
+                with quiet():
+                    laws[i] = replace(law, **values)
             self._retune(replace(self.config, joints=tuple(laws)))
 
     def configure(self, **settings: Any) -> None:
@@ -169,7 +168,9 @@ class Told(Arms):
             InputError: See `ControllerConfig`.
         """
         with self._lock:
-            self._retune(replace(self.config, **settings))
+            with quiet():
+                config = replace(self.config, **settings)
+            self._retune(config)
 
     def use(self, config: ControllerConfig) -> None:
         """Takes another controller while the arm moves on.

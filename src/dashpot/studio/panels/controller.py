@@ -11,6 +11,7 @@ from dashpot.errors import DashpotError
 from dashpot.studio import markup
 from dashpot.studio.panels.design import DesignFolder
 from dashpot.studio.panels.shared import Beside, LogField, NumberField, by_hand, set_quietly
+from dashpot.tables import unusual
 
 if TYPE_CHECKING:
     from dashpot.studio.page import Page
@@ -23,6 +24,7 @@ FIELDS = (
     ("kd", "kd [N m s/rad]", 0.1, 1e3, True, "Velocity gain"),
 )
 ALL = "all joints"
+USUAL = 50.0, 1e4  # [Hz], as the period's typical range
 MODES = {"on": "active", "off (position loop alone)": "bypass", "motor off": "off"}
 
 
@@ -45,25 +47,31 @@ class ControllerPanel:
         self._mode = gui.add_dropdown(
             "law", tuple(MODES), initial_value="on", hint="Virtual passive control of this joint"
         )
-        self._fields: dict[str, LogField] = {}
+        self._beside, self._fields = Beside(gui, put=False), dict[str, LogField]()
         for key, label, low, high, zero, hint in FIELDS:
 
             def changed(value: float, key: str = key) -> bool:
                 return self._edit(key, value)
 
-            self._fields[key] = LogField(gui, label, low, high, 1.0, changed, zero=zero, hint=hint)
-        self._beside = Beside(gui)
+            self._fields[key] = LogField(
+                gui, label, low, high, 1.0, changed, self._beside, zero=zero, hint=hint
+            )
+        self._beside.put()
         self._plane = gui.add_html("")
         with gui.add_folder("Sampling"):
             self._form = gui.add_dropdown("form", ("implicit", "explicit"), initial_value=session.config.form)
             self._sampling = gui.add_dropdown(
                 "sampling", ("average", "point"), initial_value=session.config.sampling
             )
-            self._rate = NumberField(gui, "rate [Hz]", _rate(session.config), self._at_rate, step=10.0)
+            self._beside_sampling = Beside(gui, put=False)
+            self._rate = NumberField(
+                gui, "rate [Hz]", _rate(session.config), self._at_rate, self._beside_sampling,
+                low=1.0, high=1e5,
+            )  # fmt: skip
             self._latency = NumberField(
-                gui, "latency [samples]", session.config.latency, self._at_latency, step=1
+                gui, "latency [samples]", session.config.latency, self._at_latency, self._beside_sampling
             )
-            self._beside_sampling = Beside(gui)
+            self._beside_sampling.put()
         self.design = DesignFolder(page, self._names)
         with gui.add_folder("Take gains from", expand_by_default=False):
             self._preset = gui.add_button_group("bundled", BUNDLED)
@@ -104,6 +112,7 @@ class ControllerPanel:
         set_quietly(self._sampling, session.config.sampling)
         self._rate.show(_rate(session.config))
         self._latency.show(session.config.latency)
+        self.design.refresh()
         self.judge()
 
     def judge(self) -> None:
@@ -120,7 +129,8 @@ class ControllerPanel:
         if self._margins.content != content:
             self._margins.content = content
         law = session.config.joints[session.arm.controller.index(session.joint)]
-        picture = markup.plane(certifier.plane(law, session.config), session.joint)
+        shown = certifier.plane(law, session.config)
+        picture = markup.plane(shown, session.joint, now=session.inertia(session.joint))
         if self._plane.content != picture:
             self._plane.content = picture
 
@@ -129,6 +139,10 @@ class ControllerPanel:
         with self._beside.explained():
             self._page.session.edit("all" if self._joint.value == ALL else self.joint, **{key: value})
             self.judge()
+        if not self._beside.failed:
+            laws = {law.name: law for law in self._page.session.config.joints}
+            said = unusual(laws[self.joint], joint=self.joint)
+            self._beside.remark("; ".join(words for words in said if f"{key} [" in words))
         self.judged.append(time.perf_counter() - begun)
         return not self._beside.failed
 
@@ -155,10 +169,12 @@ class ControllerPanel:
         self.judge()
 
     def _at_rate(self, rate: float) -> None:
-        if not rate >= 1:
-            self._beside_sampling.say(f"rate [Hz] = {rate:g}: must be at least 1 Hz")
-            return
-        self._configure("period", 1 / float(rate))
+        self._configure("period", 1 / rate)
+        low, high = USUAL
+        if not self._beside_sampling.failed and not low <= rate <= high:
+            self._beside_sampling.remark(
+                f"rate [Hz] = {rate:g}: is unusual (typical: {low:g} to {high:g} Hz)"
+            )
 
     def _at_latency(self, samples: float) -> None:
         if samples != int(samples):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from dashpot.studio import markup
 from dashpot.studio.choices import FAULTS, PanelFault
-from dashpot.studio.panels.shared import Beside, Settled, by_hand, set_quietly
+from dashpot.studio.panels.shared import Beside, NumberField, by_hand, set_quietly
 
 if TYPE_CHECKING:
     from dashpot.studio.page import Page
@@ -35,23 +35,24 @@ class FaultPanel:
             "joint", (*page.session.arm.controller.joints, ALL), initial_value=page.session.joint
         )
         self._loop = gui.add_checkbox(
-            "position loop",
-            initial_value=True,
-            hint="Off: the paper's Fig. 5, live; no encoder value is used",
+            "position loop lost",
+            initial_value=False,
+            hint="The paper's Fig. 5, live: no encoder value is used",
         )
+        self._beside = Beside(gui, put=False)
         self._switches: list[tuple[PanelFault, Any, Any]] = []
         for fault in FAULTS:
             switch = gui.add_checkbox(fault.label, initial_value=False)
             size = None
             if fault.size:
-                size = gui.add_number(fault.size, initial_value=fault.value, step=0.1)
+                size = NumberField(
+                    gui, fault.size, fault.value, partial(self._resized, fault, switch), self._beside
+                )
             self._switches.append((fault, switch, size))
             by_hand(switch, partial(self._switched, fault, size))
-            if size is not None:
-                by_hand(size, Settled(partial(self._resized, fault, switch, size)))
         self._lose = gui.add_button("Lose the payload")
         self._heal = gui.add_button("Heal everything")
-        self._beside = Beside(gui)
+        self._beside.put()
         self._news = gui.add_html("")
         session = page.session
         by_hand(self._supervised, lambda on: self._do(lambda: session.supervise(bool(on))))
@@ -71,7 +72,7 @@ class FaultPanel:
             self._joint.options, self._joint.value = options, session.joint
         set_quietly(self._supervised, session.supervised)
         names = session.arm.controller.joints if self._joint.value == ALL else (self._joint.value,)
-        set_quietly(self._loop, all(session.arm.mode(name)[1] for name in names))
+        set_quietly(self._loop, not all(session.arm.mode(name)[1] for name in names))
         for fault, switch, _ in self._switches:
             set_quietly(switch, self._name(fault) in {name.partition("=")[0] for name in session.faults})
         self.tell()
@@ -100,23 +101,32 @@ class FaultPanel:
         where = "" if self._joint.value == ALL or not fault.per_joint else f":{self._joint.value}"
         return f"{fault.kind}{where}"
 
-    def _resized(self, fault: PanelFault, switch: Any, size: Any, _: float) -> None:
+    def _resized(self, fault: PanelFault, switch: Any, value: float) -> None:
         if switch.value:
-            self._switched(fault, size, True)
+            self._set(fault, value, True)
 
-    def _switched(self, fault: PanelFault, size: Any, on: bool) -> None:
+    def _switched(self, fault: PanelFault, size: NumberField | None, on: bool) -> None:
+        value = None
+        with self._beside.explained():
+            value = size.read() if size is not None and on else None
+        if not self._beside.failed:
+            self._set(fault, value, on)
+        else:
+            self.refresh()
+
+    def _set(self, fault: PanelFault, value: float | None, on: bool) -> None:
         session, name = self._page.session, self._name(fault)
         with self._beside.explained():
             for old in [old for old in session.faults if old.partition("=")[0] == name]:
                 session.heal(old)
             if on:
                 joint = "all" if self._joint.value == ALL or not fault.per_joint else self._joint.value
-                session.fail(fault.kind, joint, None if size is None else float(size.value))
+                session.fail(fault.kind, joint, value)
         self.refresh()
 
-    def _cut(self, on: bool) -> None:
+    def _cut(self, lost: bool) -> None:
         joint = "all" if self._joint.value == ALL else self._joint.value
-        self._do(lambda: self._page.session.set_position_loop(joint, bool(on)))
+        self._do(lambda: self._page.session.set_position_loop(joint, not lost))
 
     def _do(self, act: Any) -> None:
         with self._beside.explained():

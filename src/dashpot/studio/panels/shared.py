@@ -12,11 +12,11 @@ from typing import Any
 import viser
 
 from dashpot.errors import DashpotError
-from dashpot.studio.markup import trouble
+from dashpot.studio.markup import remark, trouble
 
 RECENT = 1.0  # [s] for which a field is in the user's hand after a change
 STEPS = 200  # of a log slider per range
-TYPING = 0.4  # [s] after the last key that a number counts as typed
+TYPING = 0.6  # [s] after the last key that a number counts as typed
 
 
 class Beside:
@@ -26,8 +26,15 @@ class Beside:
         failed: Whether the last thing that was tried went wrong.
     """
 
-    def __init__(self, gui: viser.GuiApi) -> None:
-        self._place, self.failed = gui.add_html(""), False
+    def __init__(self, gui: viser.GuiApi, *, put: bool = True) -> None:
+        """Puts the place here, or where `put` is called."""
+        self._gui, self.failed = gui, False
+        if put:
+            self.put()
+
+    def put(self) -> None:
+        """Puts the place below what has been added by now."""
+        self._place = self._gui.add_html("")
 
     @contextmanager
     def explained(self) -> Iterator[None]:
@@ -42,9 +49,16 @@ class Beside:
             self.say("")
 
     def say(self, text: str) -> None:
-        """Shows a message, or none."""
-        if self._place.content != trouble(text):
-            self._place.content = trouble(text)
+        """Shows what is wrong, or nothing."""
+        self._show(trouble(text))
+
+    def remark(self, text: str) -> None:
+        """Shows what is to be known of something that was taken."""
+        self._show(remark(text))
+
+    def _show(self, content: str) -> None:
+        if self._place.content != content:
+            self._place.content = content
 
 
 class Settled:
@@ -76,24 +90,87 @@ class Settled:
 
 
 class NumberField:
-    """A number to be typed. What is refused stays there to be mended; what is set elsewhere is shown."""
+    """A number to be typed. What is refused stays there to be mended; what is set elsewhere is shown.
+
+    It is a field of text: a browser's field of numbers drops what it cannot read, and 1e9 becomes 19.
+
+    Attributes:
+        handle: viser's.
+    """
 
     def __init__(
-        self, gui: viser.GuiApi, label: str, value: float, changed: Callable[[float], object], **options: Any
+        self,
+        gui: viser.GuiApi,
+        label: str,
+        value: float,
+        changed: Callable[[float], object],
+        beside: Beside,
+        *,
+        low: float = -math.inf,
+        high: float = math.inf,
+        hint: str | None = None,
     ) -> None:
-        """Adds it; `changed` is called with what the user has typed, `options` are viser's."""
-        self.handle: Any = gui.add_number(label, initial_value=value, **options)
-        self._settled = Settled(changed)
+        """Adds it.
+
+        Args:
+            gui: Where.
+            label: With the unit in brackets.
+            value: To begin with.
+            changed: Called with what the user has typed, if it is a number in range.
+            beside: Where to say that it is not.
+            low: Least valid value, in the field's unit.
+            high: Largest.
+            hint: Shown when pointed at.
+        """
+        self.handle: Any = gui.add_text(label, initial_value=_text(value), hint=hint)
+        self._label, self._beside, self._changed = label, beside, changed
+        self._low, self._high = low, high
+        self._settled = Settled(lambda _: self._typed())
         self._shown: tuple[float, str] = (value, "")
         by_hand(self.handle, self._settled)
+
+    def read(self) -> float:
+        """What stands there.
+
+        Raises:
+            DashpotError: It is no number, or out of range.
+        """
+        text = str(self.handle.value).strip()
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if math.isfinite(value) and self._low <= value <= self._high:
+            return value
+        rule = "must be a number"
+        if math.isfinite(self._low) and math.isfinite(self._high):
+            rule = f"must be {self._low:.4g} to {self._high:.4g}"
+        elif math.isfinite(self._low):
+            rule = f"must be at least {self._low:.4g}"
+        raise DashpotError(f"{self._label} = {text}: {rule}" if text else f"{self._label}: {rule}")
 
     def show(self, value: float, of: str = "") -> None:
         """Shows a number if it is another than the last one, or of something else."""
         if (value, of) != self._shown:
             self._shown = value, of
             self._settled.forget()
-            if self.handle.value != value:
-                self.handle.value = value
+            with suppress(ValueError):
+                if float(self.handle.value) == value:
+                    return
+            self.handle.value = _text(value)
+
+    def _typed(self) -> None:
+        with self._beside.explained():
+            value = self.read()
+        if self._beside.failed:
+            return
+        self._changed(value)
+        if not self._beside.failed:  # nothing new to be shown, and what is typed next stays
+            self._shown = value, self._shown[1]
+
+
+def _text(value: float) -> str:
+    return f"{value:.6g}"
 
 
 class LogField:
@@ -111,6 +188,7 @@ class LogField:
         high: float,
         value: float,
         changed: Callable[[float], bool],
+        beside: Beside,
         *,
         zero: bool = False,
         hint: str = "",
@@ -124,13 +202,14 @@ class LogField:
             high: Above it.
             value: To begin with.
             changed: Called with what the user has set, in order of time; says whether it was taken.
+            beside: Where to say what cannot be read.
             zero: Whether the slider's left end means 0.
             hint: Shown when pointed at.
         """
         self.low, self.high, self._zero, self._changed = low, high, zero, changed
         self._lock = threading.RLock()
         self._value, self._of = float(value), ""
-        self._number = NumberField(gui, label, float(value), self._typed, step=0.001, hint=hint or None)
+        self._number = NumberField(gui, label, float(value), self._typed, beside, hint=hint or None)
         decades = [10.0**k for k in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)]
         while len(decades) > 5:
             decades = decades[::2]

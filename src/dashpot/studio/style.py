@@ -12,7 +12,7 @@ STYLE = """<style>
 .mantine-Button-root[style*="--button-bg"] {--button-color: #000 !important}
 .mantine-Text-root, .mantine-Input-input {letter-spacing: 0 !important}
 .mantine-Slider-root {margin: -7px 14px 9px 0}
-.mantine-NumberInput-input, .mantine-TextInput-input 
+.mantine-NumberInput-input, .mantine-TextInput-input
   {min-height: 1.4rem !important; height: 1.4rem !important}
 .mantine-Checkbox-root {--checkbox-color: #0072B2 !important}
 .mantine-Slider-thumb {background: #0072B2 !important}

@@ -170,7 +170,7 @@ def test_a_load_beyond_the_drive_is_said_in_a_second(here, dashpot):
         (("--stop-time", "nan"), "--stop-time [s] = nan: must be finite"),
         (("--period", "5"), "--period [s] = 5.0: must be at least 1e-05 and at most 1 s"),
         (("--latency", "-1"), "must be a whole number of samples"),
-        (("--authority", "90"), "--authority [-] = 90.0: must be above 0 and at most 1 -"),
+        (("--authority", "90"), "--authority [-] = 90.0: must be above 0 and at most 1"),
         (("--payload", "inf"), "--payload [kg] = inf: must be finite"),
         (("--offset", "1", "2"), "--offset [m] = (1.0, 2.0): must be one number or three"),
         (("--joint", "elbow"), "joint 'elbow': the robot has no such joint; it has wrist / [1]"),

@@ -87,6 +87,14 @@ def test_a_visit(visit, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     time.sleep(0.7)  # the page has shown all fields anew: what was typed is still there to be mended
     assert visitor.page.evaluate("document.activeElement.value") == "-3"
 
+    # What a browser's field of numbers would have made 19 is refused as it was typed.
+    visitor.click("Arm", "[role=tab]")
+    visitor.focus("mass [kg]", "input")
+    visitor.page.keyboard.press("Control+a")
+    visitor.page.keyboard.type("1e9", delay=300)  # slowly: no half of it counts
+    until(lambda: "mass [kg] = 1e9: must be 0 to 20" in visitor.text(".dp-trouble"), "the range")
+    assert session.payload.mass == 0.0
+
     # The encoder is lost: the arm brakes.
     session.restart()
     session.move(0.3)

@@ -76,7 +76,7 @@ def test_controller(session: Session, tmp_path: Path) -> None:
     session.set_payload(2.0, 0.1)
     text = saved_controller(session)
     assert "k807" in text
-    assert "with 2 kg at (0.1, 0, 0) m" in text
+    assert "carried 2 kg at (0.1, 0, 0) m" in text
     file.write_text(text)
     back = load_controller(file)
     assert back.joints == session.config.joints

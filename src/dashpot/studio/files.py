@@ -37,13 +37,13 @@ def controller_toml(
         payload: What the arm carried, for the comment.
     """
     load = payload or Payload(0.0)
-    carried = "without payload"
+    carried = "nothing"
     if load.mass > 0:
         at = ", ".join(f"{float(part):g}" for part in load.position)
-        carried = f"with {load.mass:.4g} kg at ({at}) m on the flange"
+        carried = f"{load.mass:.4g} kg at ({at}) m on the flange"
     lines = [
-        f"# Controller for {robot}, saved from the studio of dashpot {dashpot.__version__}; it ran",
-        f"# {carried}.",
+        f"# Controller for {robot}, saved from the studio of dashpot {dashpot.__version__}.",
+        f"# The arm carried {carried}.",
         "# What is certified is said per joint as it was known then; dashpot certify proves it again.",
         "",
         f"period = {value(config.period)}  # s",

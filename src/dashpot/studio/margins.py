@@ -193,7 +193,7 @@ class Certifier:
             index = proof.box.worst.value if proof.nominal.passive else proof.nominal.value
             if not proof.certified:
                 load = proof.counterexample
-                words = f"worst load of any kind: {load}" if load is not None else proof.reason
+                words = f"counterexample, a load of any kind: {load}" if load is not None else proof.reason
                 return Margin(name, "not certified", index, _share(index, bare), words)
             words = f"certified: at least {index:.3g} N m s/rad over the drive's whole uncertainty"
             return Margin(name, "certified", index, _share(index, bare), words)

@@ -11,8 +11,9 @@ STYLE = """<style>
 .mantine-Button-root {--button-color: #fff !important; min-height: 0; height: 1.7rem !important}
 .mantine-Button-root[style*="--button-bg"] {--button-color: #000 !important}
 .mantine-Text-root, .mantine-Input-input {letter-spacing: 0 !important}
-.mantine-Slider-root {margin: -5px 14px 7px 0}
-.mantine-NumberInput-input {min-height: 1.4rem !important; height: 1.4rem !important}
+.mantine-Slider-root {margin: -7px 14px 9px 0}
+.mantine-NumberInput-input, .mantine-TextInput-input
+  {min-height: 1.4rem !important; height: 1.4rem !important}
 .mantine-Checkbox-root {--checkbox-color: #0072B2 !important}
 .mantine-Slider-thumb {background: #0072B2 !important}
 .mantine-Slider-markLabel {color: #444; font-size: 10px !important}

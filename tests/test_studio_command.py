@@ -56,9 +56,10 @@ def test_an_address_that_is_not_ours_is_refused() -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no signals")
+@pytest.mark.parametrize("times", [1, 2])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_it_ends_with_one_word(number: signal.Signals) -> None:
-    """Told to end while a proof is under way: no process is left, and nothing is said of semaphores."""
+def test_it_ends_with_one_word(number: signal.Signals, times: int) -> None:
+    """Told to end while a proof is under way, once or twice: no process is left, nothing is said of semaphores."""
     pytest.importorskip("viser", reason="pip install 'dashpot[studio]'")
     port = _free()
     process = subprocess.Popen(
@@ -69,7 +70,9 @@ def test_it_ends_with_one_word(number: signal.Signals) -> None:
     assert process.stdout is not None
     assert str(port) in process.stdout.readline()
     time.sleep(1.0)
-    process.send_signal(number)
+    for _ in range(times):
+        process.send_signal(number)
+        time.sleep(0.05)
     _, said = process.communicate(timeout=60)  # reaches its end only once no child holds the pipes
     assert process.returncode == 128 + number
     assert said == "dashpot: stopped\n"

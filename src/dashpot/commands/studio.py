@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import gc
 import math
+import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,18 +40,18 @@ def studio(options: Studio) -> int:
     quiet_engine()
     x = options.offset
     payload = Payload(options.payload, x[0] if len(x) == 1 else (x[0], x[1], x[2]))
-    page = open_page(
-        options.robot,
-        controller,
-        payload,
-        host=options.host,
-        port=options.port,
-        supervise=options.supervise,
-        seed=options.seed,
-    )
-    _forget_the_start()
-    console = Console()
+    page, console = None, Console()
     try:
+        page = open_page(
+            options.robot,
+            controller,
+            payload,
+            host=options.host,
+            port=options.port,
+            supervise=options.supervise,
+            seed=options.seed,
+        )
+        _forget_the_start()
         console.print(f"studio of {options.robot} under {controller}: open {page.url}", highlight=False)
         if options.host not in ("127.0.0.1", "localhost", "::1"):
             console.print(
@@ -61,9 +64,24 @@ def studio(options: Studio) -> int:
         else:
             _watch(page, options.run_for, console)
     finally:
-        page.close()
-        page.session.close()
+        with _undisturbed():
+            if page is not None:
+                page.close()
+                page.session.close()
     return 0
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Closes to the end where a second Ctrl-C or SIGTERM comes, as ``timeout`` sends: no process is left."""
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _install() -> str:

@@ -59,7 +59,7 @@ def test_an_address_that_is_not_ours_is_refused() -> None:
 @pytest.mark.parametrize("times", [1, 2])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_it_ends_with_one_word(number: signal.Signals, times: int) -> None:
-    """Told to end while a proof is under way, once or twice: no process is left, nothing is said of semaphores."""
+    """Told to end while a proof is under way, once or twice: no process is left, no word of semaphores."""
     pytest.importorskip("viser", reason="pip install 'dashpot[studio]'")
     port = _free()
     process = subprocess.Popen(

@@ -81,7 +81,7 @@ evidence-franka: $(VENV)/.installed
 # Half an hour on two cores: the vectorised arm against MuJoCo's limit, and the readiness campaign on both engines.
 evidence-lanes: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[campaign]'
-	for part in agreement readiness; do \
+	for part in agreement elements readiness; do \
 	  $(BIN)/python -m dashpot.studies.lanes $$part > docs/evidence/lanes-$$part.json.part && \
 	  mv docs/evidence/lanes-$$part.json.part docs/evidence/lanes-$$part.json || exit 1; \
 	done

@@ -124,8 +124,12 @@ def test_a_visit(visit, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     push = session.snapshot().push
     assert push is not None
     assert np.linalg.norm(push[0]) > 3.0
-    # Friction and servos hold most of it: what the hand does shows in the torque sensors (noise 0.05 N m).
-    assert np.abs(session.snapshot().torque - felt).max() > 0.5
+    # The torque sensors balance the hand, but for 0.05 N m of noise and the arm's slow yielding.
+    arm = session.arm
+    given = arm.push.torque(arm.model, arm.data)[arm.plant.rotor_dof]
+    lost = np.abs(session.snapshot().torque - felt + given).max()
+    assert lost < 0.3 + 0.25 * np.abs(given).max()
+    assert np.abs(given).max() > 1.0
     visitor.page.mouse.up()
     visitor.page.keyboard.up("Control")
     until(lambda: session.arm.push is None, "letting go")
@@ -184,7 +188,9 @@ def _grasp(visitor: Visitor, page: object) -> None:
             visitor.page.wait_for_timeout(60)
         with suppress(AssertionError):
             until(lambda: session.arm.push is not None, "the hand", 5.0)
-            return
+            if session.arm.model.body(session.arm.push.body).name in ("link4", "link5", "link6", "link7"):
+                visitor.page.wait_for_timeout(500)  # what the mouse did last is on its way
+                return
         visitor.page.mouse.up()
         visitor.page.wait_for_timeout(1000)
     raise AssertionError("the mouse meets no link")

@@ -1,8 +1,8 @@
 """The vectorised arm at length: against MuJoCo at its own converged step, and a campaign end to end.
 
-``python -m dashpot.studies.lanes agreement`` (or ``readiness``) prints the result as JSON. Scenarios are
-random in pose, motion, payload and noise. MuJoCo runs at steps h and h/2, and where its order is asked for,
-at h/4; its limit is extrapolated from the two finest, as its order says: ``2 x(h/2) - x(h)``.
+``python -m dashpot.studies.lanes agreement`` (``elements``, ``readiness``) prints the result as JSON.
+Scenarios are random in pose, motion, payload and noise. MuJoCo runs at steps h and h/2, and where its order
+is asked for, at h/4; its limit is extrapolated from the two finest: ``2 x(h/2) - x(h)``, as its order says.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import shlex
 import sys
 import tempfile
 import time
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,13 +29,16 @@ from dashpot.campaign.store import Store, create, open_dataset
 from dashpot.commands.campaign_view import progress_bar
 from dashpot.controller import Controller, load_controller
 from dashpot.engine import quiet_engine
+from dashpot.errors import InputWarning
 from dashpot.lanes import WIDTHS, run_lanes
 from dashpot.payload import Payload
 from dashpot.plant import build, with_timestep
+from dashpot.recording import CHANNELS
 from dashpot.release import tracking_events
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
 from dashpot.simulate import Scenario, run
+from dashpot.studies.lanes_cases import random_arm, random_config, random_scenario
 from dashpot.trajectory import multisine
 from dashpot.workers import cores, each
 
@@ -43,6 +47,7 @@ ARMS = {"fr3": ("fr3", 3.0), "iiwa14": ("iiwa14", 7.0), "k807": ("k807-wrist", 4
 SECONDS = 2.0
 SEED = 1
 ASKED = 10  # of so many scenarios one is asked for its order
+EACH = 5  # scenarios of a random arm
 TASK = 10  # scenarios that a worker runs at a time
 
 
@@ -137,6 +142,39 @@ def _quantiles(values: Floats) -> dict[str, float]:
     return {name: _round(float(np.quantile(values, share))) for name, share in shares.items()}
 
 
+def elements(arms: int) -> dict[str, Any]:
+    """Random arms with whatever a file can name: bits at all widths, and angles against MuJoCo [rad]."""
+    rng, apart, same = np.random.default_rng(SEED), [0.0], True
+    kinds: set[str] = set()
+    count = diverged = 0
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore", InputWarning)
+        for _ in range(arms):
+            robot = random_arm(rng, Path(folder))
+            config = random_config(rng, robot)
+            scenarios = [random_scenario(rng, robot, config) for _ in range(EACH)]
+            found = run_lanes(scenarios)
+            others = [run_lanes(scenarios[::-1], width=width)[::-1] for width in WIDTHS]
+            for index, (scenario, ours) in enumerate(zip(scenarios, found, strict=True)):
+                reference, count = run(scenario), count + 1
+                kinds |= {fault.kind for fault in scenario.faults}
+                diverged += reference.diverged_at is not None
+                for other in (part[index] for part in others):
+                    pairs = ((getattr(ours, name), getattr(other, name)) for name in CHANNELS)
+                    same &= all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+                if ours.diverged_at != reference.diverged_at:
+                    raise RuntimeError("one engine has diverged, the other has not")
+                apart.append(float(np.nanmax(np.abs(ours.link_position - reference.link_position))))
+    return {
+        "arms": arms,
+        "scenarios": count,
+        "kinds_of_faults": len(kinds),
+        "diverged": diverged,
+        "same_bits_at_all_widths_and_orders": bool(same),
+        "largest_angle_to_mujoco_rad": _round(max(apart)),
+    }
+
+
 def readiness(scenarios: int | None, compared: int, workers: int) -> dict[str, Any]:
     """The readiness campaign on both engines: wall-clock time, and whether they say the same.
 
@@ -192,8 +230,9 @@ def _round(value: float) -> float:
 def main(arguments: list[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", choices=["agreement", "readiness"])
+    parser.add_argument("part", choices=["agreement", "elements", "readiness"])
     parser.add_argument("--scenarios", type=int, default=1000, help="of every arm against MuJoCo's limit")
+    parser.add_argument("--arms", type=int, default=200, help="random ones")
     parser.add_argument("--campaign", type=int, default=None, help="scenarios of the campaign (default: all)")
     parser.add_argument("--compared", type=int, default=1000, help="of them on both engines")
     parser.add_argument("--workers", type=int, default=cores())
@@ -207,6 +246,8 @@ def main(arguments: list[str] | None = None) -> None:
     if options.part == "agreement":
         found["seconds"] = SECONDS
         found["rad"] = agreements(options.scenarios, options.workers)
+    elif options.part == "elements":
+        found |= elements(options.arms)
     else:
         found |= readiness(options.campaign, options.compared, options.workers)
     print(json.dumps(found, indent=1))

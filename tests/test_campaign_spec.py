@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from dashpot.campaign.requirements import Requirement
 from dashpot.campaign.scenario import Campaign
-from dashpot.campaign.spec import Spec
+from dashpot.campaign.spec import CHUNK, Spec
 from dashpot.errors import DashpotError, InputError
 from dashpot.supervisorsettings import SupervisorSettings
 
@@ -144,7 +144,7 @@ def test_chunks_are_runs_of_indices_that_tile_the_grid(shape, chunk):
     for k in range(spec.chunks):
         run = spec.chunk_indices(k)
         assert index[spec.chunk_region(k)].ravel().tolist() == list(run)
-        assert 1 <= len(run) <= (chunk or 16)
+        assert 1 <= len(run) <= (chunk or CHUNK)
         seen += run
     assert sorted(seen) == list(range(spec.size))
 

@@ -56,7 +56,7 @@ def run_together(campaign: Campaign, indices: Sequence[int]) -> Iterator[Outcome
     waiting: list[_Case] = []
     for index in indices:
         waiting.append(_Case(campaign, index))
-        if len(waiting) >= waiting[0].together:
+        if len(waiting) >= min(case.together for case in waiting):
             yield from _finish(waiting)
             waiting = []
     yield from _finish(waiting)

@@ -9,7 +9,6 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import mujoco.batch
@@ -26,6 +25,7 @@ from dashpot.release import tracking_events
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
 from dashpot.simulate import Scenario
+from dashpot.studies.lanes_cases import pinocchio_of
 from dashpot.trajectory import multisine
 
 COUNT = 16  # scenarios side by side
@@ -149,7 +149,7 @@ def _dynamics(plant: Plant) -> dict[str, Timed]:
         import pinocchio as pin
     except ImportError:
         return functions
-    model = rigid_model(pin, plant)
+    model = pinocchio_of(plant)
     pool, theirs = pin.ModelPool(model, 1), np.zeros((n, count))
     columns = [np.asfortranarray(part.T) for part in (q, qd, torque)]
     ours()
@@ -187,35 +187,6 @@ def _limit(tree: Tree, width: int) -> Timed:
     OPERATIONS[:] = [int(found.sum())]
     peak.peak.restype, peak.peak.argtypes = ctypes.c_double, [ctypes.c_double]
     return lambda: float(found.sum()) / peak.peak(1.0) / width
-
-
-def rigid_model(pin: Any, plant: Plant) -> Any:
-    """The links of a plant without slides in Pinocchio, from MuJoCo's numbers."""
-    model, found = plant.model, pin.Model()
-    found.gravity = pin.Motion(model.opt.gravity, np.zeros(3))
-    springs = {int(model.dof_jntid[dof]) for dof in plant.spring_dof}
-    frames = [(0, pin.SE3.Identity())]
-    for body in range(1, model.nbody):
-        joint, at = frames[model.body_parentid[body]]
-        at = at * _pose(pin, model.body_pos[body], model.body_quat[body])
-        for j in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
-            if j not in springs:
-                anchor = pin.SE3(np.eye(3), model.jnt_pos[j])
-                hinge = pin.JointModelRevoluteUnaligned(model.jnt_axis[j])
-                joint = found.addJoint(joint, hinge, at * anchor, model.joint(j).name)
-                at = anchor.inverse()
-        frames.append((joint, at))
-        if joint and model.body_mass[body] > 0:
-            own = pin.Inertia(model.body_mass[body], np.zeros(3), np.diag(model.body_inertia[body]))
-            found.appendBodyToJoint(
-                joint, own, at * _pose(pin, model.body_ipos[body], model.body_iquat[body])
-            )
-    return found
-
-
-def _pose(pin: Any, place: Floats, quat: Floats) -> Any:
-    w, x, y, z = quat
-    return pin.SE3(pin.Quaternion(w, x, y, z).matrix(), place)
 
 
 __all__ = ["lanes"]

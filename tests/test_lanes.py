@@ -24,7 +24,7 @@ from dashpot.recording import CHANNELS
 from dashpot.release import tracking_events
 from dashpot.robot import Robot
 from dashpot.simulate import Scenario, run
-from dashpot.studies.lanes_cases import random_arm, random_config, random_scenario
+from dashpot.studies.lanes_cases import pinocchio_of, random_arm, random_config, random_scenario
 from dashpot.trajectory import hold, multisine
 
 ARMS = [("fr3", "fr3"), ("iiwa14", "iiwa14"), ("k807", "k807-wrist")]
@@ -63,37 +63,6 @@ def test_functions_are_good_to_the_last_places(width):
     alive = np.abs(x) < 700
     np.testing.assert_allclose(decay[alive], np.exp(-np.abs(x[alive])), rtol=5e-16)
     assert (decay[~alive & (np.abs(x) < 1e4)] == 0).all()
-
-
-def pinocchio_of(plant):
-    """The rigid links in Pinocchio, from MuJoCo's numbers of its bodies and joints."""
-    import pinocchio as pin
-
-    model, found = plant.model, pin.Model()
-    found.gravity = pin.Motion(model.opt.gravity, np.zeros(3))
-    springs = {int(model.dof_jntid[dof]) for dof in plant.spring_dof}
-    frames = [(0, pin.SE3.Identity())]
-
-    def pose(place, quat):
-        w, x, y, z = quat
-        return pin.SE3(pin.Quaternion(w, x, y, z).matrix(), place)
-
-    for body in range(1, model.nbody):
-        joint, at = frames[model.body_parentid[body]]
-        at = at * pose(model.body_pos[body], model.body_quat[body])
-        for j in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
-            if j in springs:
-                continue
-            anchor = pin.SE3(np.eye(3), model.jnt_pos[j])
-            hinge = model.jnt_type[j] == int(mujoco.mjtJoint.mjJNT_HINGE)
-            kind = pin.JointModelRevoluteUnaligned if hinge else pin.JointModelPrismaticUnaligned
-            joint = found.addJoint(joint, kind(model.jnt_axis[j]), at * anchor, model.joint(j).name)
-            at = anchor.inverse()
-        frames.append((joint, at))
-        if joint and model.body_mass[body] > 0:
-            own = pin.Inertia(model.body_mass[body], np.zeros(3), np.diag(model.body_inertia[body]))
-            found.appendBodyToJoint(joint, own, at * pose(model.body_ipos[body], model.body_iquat[body]))
-    return found
 
 
 def compare_with_pinocchio(plant, rng, count):

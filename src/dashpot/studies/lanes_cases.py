@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from dashpot.controller import Controller, ControllerConfig, JointGains
@@ -184,3 +185,40 @@ def random_fault(rng: np.random.Generator, robot: Robot, controlled: list[str]) 
         return [Fault(kind, start, end, joint)]
     except InputError:  # one that needs a value
         return [Fault(kind, start, end, joint, 0.5)]
+
+
+def pinocchio_of(plant: Plant) -> Any:
+    """The rigid links of a plant, without rotors, as a Pinocchio model, from MuJoCo's bodies and joints.
+
+    Joints come in the order of `dashpot.lanes.Tree`; angles are 0 where MuJoCo's are at ``qpos0``.
+
+    Raises:
+        ImportError: Pinocchio is not installed.
+    """
+    import pinocchio as pin
+
+    model, found = plant.model, pin.Model()
+    found.gravity = pin.Motion(model.opt.gravity, np.zeros(3))
+    springs = {int(model.dof_jntid[dof]) for dof in plant.spring_dof}
+    frames = [(0, pin.SE3.Identity())]
+
+    def pose(place: Floats, quat: Floats) -> Any:
+        w, x, y, z = quat
+        return pin.SE3(pin.Quaternion(w, x, y, z).matrix(), place)
+
+    for body in range(1, model.nbody):
+        joint, at = frames[model.body_parentid[body]]
+        at = at * pose(model.body_pos[body], model.body_quat[body])
+        for j in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            if j in springs:
+                continue
+            anchor = pin.SE3(np.eye(3), model.jnt_pos[j])
+            hinge = model.jnt_type[j] == int(mujoco.mjtJoint.mjJNT_HINGE)
+            kind = pin.JointModelRevoluteUnaligned if hinge else pin.JointModelPrismaticUnaligned
+            joint = found.addJoint(joint, kind(model.jnt_axis[j]), at * anchor, model.joint(j).name)
+            at = anchor.inverse()
+        frames.append((joint, at))
+        if joint and model.body_mass[body] > 0:
+            own = pin.Inertia(model.body_mass[body], np.zeros(3), np.diag(model.body_inertia[body]))
+            found.appendBodyToJoint(joint, own, at * pose(model.body_ipos[body], model.body_iquat[body]))
+    return found

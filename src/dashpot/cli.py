@@ -764,11 +764,17 @@ def _tidy_stop() -> Iterator[None]:
     taken = [number for number in signals if signal.getsignal(number) is signal.SIG_DFL]
     for number in taken:
         signal.signal(number, _terminate)
+    after: signal.Handlers = signal.SIG_DFL
     try:
         yield
+    except KeyboardInterrupt:  # on its way out: a second one, as `timeout` sends, changes nothing any more
+        after = signal.SIG_IGN
+        if signals and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            taken.append(signal.SIGINT)
+        raise
     finally:
         for number in taken:
-            signal.signal(number, signal.SIG_DFL)
+            signal.signal(number, after)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -179,18 +179,16 @@ void dp_faults_sample(dp_faults *f, int j, int tick, double period, double *torq
     s->position = q;
     s->torque = tau;
 
-    dp_packet *now = &s->sent[tick % (DP_MAX_LATE + 1)];
-    now->torque = s->nan ? NAN : tau;
-    now->position = s->lost ? NAN : q;
-    now->velocity = s->lost ? NAN : w;
-    now->encoder = !s->lost;
+    dp_packet *sent = &s->sent[tick % (DP_MAX_LATE + 1)];
+    const dp_packet now = {s->nan ? NAN : tau, s->lost ? NAN : q, s->lost ? NAN : w, sent->gravity, !s->lost};
+    *sent = now;
     if (!s->started) {
         s->source = tick;
         s->encoder_source = tick - 1;
-        s->seen = *now;
+        s->seen = now;
     } else if (!s->dropped && tick - s->late > s->source) { /* a delay that grows repeats, it never goes back */
         s->source = tick - s->late;
-        s->seen = s->sent[s->source % (DP_MAX_LATE + 1)];
+        s->seen = s->late ? s->sent[s->source % (DP_MAX_LATE + 1)] : now; /* what was just stored is slow to read */
     }
     if (s->seen.encoder)
         s->encoder_source = s->source;

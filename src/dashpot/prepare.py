@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -307,7 +306,7 @@ class Prepared:
                 "state": STATES[self.guard.state],
                 "apply_brake": self.guard.apply_brake,
                 "stopped": self.guard.stopped,
-                "decisions": [{**asdict(d), "time": d.time + trajectory.start} for d in log],
+                "decisions": [{**vars(d), "time": d.time + trajectory.start} for d in log],
             }
         return Recording(
             plant.robot.joints,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,7 @@ class Robot:
                     value=angle,
                 )
 
-    @property
+    @cached_property
     def joints(self) -> tuple[str, ...]:
         """Joint names, base to tip."""
         return tuple(drive.name for drive in self.drives)

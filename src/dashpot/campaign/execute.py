@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import threading
@@ -72,6 +73,7 @@ def _prepare() -> None:
     from dashpot.engine import quiet_engine
 
     threadpool_limits(1, user_api="blas")  # every core has a scenario of its own
+    gc.freeze()  # modules stay; looking through them again and again takes a fiftieth of the time
     quiet_engine()
     parent = multiprocessing.parent_process()
     if parent is not None:  # nothing goes on where the parent was killed

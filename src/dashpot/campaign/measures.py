@@ -111,9 +111,8 @@ def measure(
         `not_finite` and `diverged_at`.
     """
     n = len(recording.joints)
-    found: dict[str, Any] = {
-        name: np.full(n, np.nan) if kind.per_joint else math.nan for name, kind in MEASURES.items()
-    }
+    nothing = np.full(n, np.nan)  # shared: values replace it, none is written into it
+    found: dict[str, Any] = {name: nothing if kind.per_joint else math.nan for name, kind in MEASURES.items()}
     found["limited"] = float(((recording.status & (TORQUE_LIMITED | RATE_LIMITED)) != 0).mean())
     found["not_finite"] = float(((recording.status & NOT_FINITE) != 0).mean())
     found["diverged_at"] = math.inf if recording.diverged_at is None else recording.diverged_at
@@ -124,10 +123,10 @@ def measure(
     at = None if event is None else int(np.searchsorted(time, event - 1e-9))
     # Joint by joint from here on, (n, ticks): neighbours in memory are added up several times faster.
     angle, speed, torque, command = (
-        np.ascontiguousarray(signal.T)
+        _rows(signal)
         for signal in (recording.link_position, recording.link_velocity, recording.torque, recording.command)
     )
-    error = recording.reference.T - angle
+    error = _rows(recording.reference) - angle
     if (before := error[:, begin:at]).size:
         found["error_rms"] = np.sqrt((before**2).mean(1))
         found["error_max"] = largest(before)
@@ -138,15 +137,15 @@ def measure(
         stopped = stops(angle[:, at:], speed[:, at:], period)
         found |= {name: np.where(braked, values, np.nan) for name, values in stopped.items()}
     found["speed_peak"] = largest(speed)
-    found["torque_peak"] = largest(recording.in_effect.T)
+    found["torque_peak"] = largest(_rows(recording.in_effect))
     found["torque_share"] = found["torque_peak"] / limits
     if rates is not None and len(time) > 1:
-        stepped = command[:, _powered(recording)]
+        stepped = _rows(recording.command[_powered(recording)])
         found["rate_share"] = largest(np.diff(stepped)) / (rates * period)
     soft = 0.0 if stiffness is None else torque / stiffness[:, None]
     found |= _decided(recording, event, controlled, period, angle + soft)
     found["torque_noise"] = rms(above(command[:, begin:], period, NOISE_CORNER))
-    swing = above(np.ascontiguousarray(recording.sample[begin:].T), period, CORNER)
+    swing = above(_rows(recording.sample[begin:]), period, CORNER)
     window = min(round(WINDOW / period), swing.shape[1] // 3)
     if window:
         found["vibration"] = rms(swing[:, -window:])
@@ -218,6 +217,11 @@ def stops(angle: Floats, velocity: Floats, period: float) -> dict[str, Floats]:
         if last
         else np.abs(velocity[:, -1]),
     }
+
+
+def _rows(signal: Floats) -> Floats:
+    """A signal over time, (ticks, n), as rows (n, ticks)."""
+    return np.ascontiguousarray(signal.T)
 
 
 def above(signal: Floats, period: float, corner: float) -> Floats:

@@ -33,6 +33,7 @@ from dashpot.rivals.gravity import with_feedforward
 from dashpot.robot import Robot
 from dashpot.sampled import Floats
 from dashpot.simulate import Scenario
+from dashpot.supervisorsettings import SupervisorSettings
 from dashpot.testbench import tap
 from dashpot.trajectory import Trajectory, hold, multisine
 
@@ -200,7 +201,7 @@ class Campaign:
             f"scenario {setting.index}",
             faults=script.faults_of(config),
             payload_changes=script.changes(setting.payload, spec.file),
-            supervisor=None if spec.supervisor is None else replace(config.supervisor, **spec.supervisor),
+            supervisor=self._keep("supervisor", (name, gains), lambda: self._supervisor(config)),
             gravity_compensation=spec.gravity_compensation,
         )
 
@@ -229,9 +230,15 @@ class Campaign:
     def _controller(self, name: str, gains: Sequence[tuple[str, float]]) -> Controller:
         return Controller.from_config(self.config(name, gains), self.robot.drives)
 
+    def _supervisor(self, config: ControllerConfig) -> SupervisorSettings | None:
+        settings = self.spec.supervisor
+        return None if settings is None else replace(config.supervisor, **settings)
+
     def config(self, name: str, gains: Sequence[tuple[str, float]]) -> ControllerConfig:
         """A controller file with its gains multiplied."""
         config = self.configs[name]
+        if not gains:
+            return config
         joints = list(config.joints)
         for key, factor in gains:
             *joint, gain = key.removeprefix("gains.").split(".")

@@ -25,7 +25,7 @@ PRESETS = ("readiness",)
 SAMPLES = ("latin_hypercube", "sobol")
 ENGINES = ("auto", "lanes", "mujoco")
 MOST = 10_000_000  # scenarios; each is named by an index that a person types
-CHUNK = 64  # scenarios at most that one worker runs before they are kept, unless said
+CHUNK = 256  # scenarios at most that one worker runs before they are kept: writing takes as long as six
 CHUNKS = 32  # a small campaign is cut into this many, so that every core has work
 KEYS = {
     *("robot", "controller", "motion", "duration", "lead_in", "amplitude", "release", "tap", "supervisor"),
@@ -55,7 +55,7 @@ class Spec:
         sample: "latin_hypercube", "sobol", or None: no axis is sampled.
         count: Points of the sample.
         seed: Of the sample and of random poses.
-        chunk: Scenarios that are run and kept together; None: 64, fewer in small campaigns.
+        chunk: Scenarios that are run and kept together; None: 256, fewer in small campaigns.
         poses: Named poses, {name: (n,) [rad]}.
         pose_margin: Distance of random poses from the stops [rad]; None: amplitude + 0.1 rad.
         requirements: What `dashpot report` judges.

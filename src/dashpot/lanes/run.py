@@ -55,7 +55,7 @@ class LaneRun(Prepared):
         self.tree = tree = tree_kept(scenario.plant)
         changes = sorted(scenario.payload_changes, key=lambda change: change.time)
         loads = [tree, *(tree_kept(with_payload(scenario.plant, c.payload, period)) for c in changes)]
-        if any(load.record != tree.record for load in loads):
+        if any(load.key != tree.key for load in loads):
             raise InputError("a payload changes the arm itself", quantity="payload_changes")
         bare = tree_kept(with_payload(scenario.plant, None, period)).bodies if scenario.carried else None
         self.timestep, self.steps = plant.timestep, round(period / plant.timestep)
@@ -126,7 +126,7 @@ def launch(prepared: Sequence[LaneRun], *, width: int | None = None, threads: in
         raise InputError(f"must be one of {', '.join(map(str, WIDTHS))}", quantity="width", value=width)
     groups: dict[object, list[LaneRun]] = {}
     for one in prepared:
-        key = (one.tree.record.tobytes(), len(one.tree.rotors), one.timestep, one.steps)
+        key = (one.tree.key, len(one.tree.rotors), one.timestep, one.steps)
         groups.setdefault(key, []).append(one)
     work = []
     for group in groups.values():

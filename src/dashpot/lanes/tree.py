@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -48,6 +49,11 @@ class Tree:
     record: NDArray[np.void]
     bodies: Floats
     rotors: Floats
+
+    @cached_property
+    def key(self) -> bytes:
+        """The record, to compare it."""
+        return self.record.tobytes()
 
     @property
     def raw(self) -> NDArray[np.uint8]:

@@ -16,8 +16,8 @@ from typing import get_args, get_type_hints
 import pytest
 
 from dashpot.certify.certificate import certify_arm
-from dashpot.cli import Design as Options
 from dashpot.cli import main
+from dashpot.cli.design import Design as Options
 from dashpot.commands.design import MEANS, specification
 from dashpot.commands.design_quantities import QUANTITIES, significant
 from dashpot.controller import load_controller

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from dashpot.cli import Studio
+from dashpot.cli.simulate import Studio
 from dashpot.commands.studio import studio
 from dashpot.controller import load_controller
 from dashpot.errors import DashpotError, InputError

@@ -17,10 +17,11 @@ from dashpot.errors import InputError
 from dashpot.plant import Plant, with_payload, with_timestep
 from dashpot.recording import CHANNELS, Recording
 from dashpot.remember import Remembered
-from dashpot.sampled import BLOCK_DTYPE, empty_block
+from dashpot.sampled import BLOCK_DTYPE, Floats, empty_block
 from dashpot.script import Clock, native_faults, tick_of
 from dashpot.supervisor import STATES, SupervisorSettings, decisions, native_guard
 from dashpot.thresholds import watch_records
+from dashpot.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from dashpot.simulate import PayloadChange, Scenario
@@ -90,6 +91,12 @@ def _delay_lines(blocks: NDArray[np.void]) -> NDArray[np.void]:
     lines = np.array([empty_block()] * len(blocks))
     lines["latency"] = blocks["latency"]
     return lines
+
+
+def _table(trajectory: Trajectory) -> Floats:
+    """The references as the native loop reads them, (4, ticks, n)."""
+    torque = np.zeros_like(trajectory.position) if trajectory.torque is None else trajectory.torque
+    return np.stack([trajectory.position, trajectory.velocity, trajectory.acceleration, torque], dtype=float)
 
 
 def _check(scenario: Scenario) -> None:
@@ -249,10 +256,10 @@ class Prepared:
             self.faults = native_faults(scenario.faults, plant, controlled, trajectory, scenario.seed)
         self._qpos, self._qvel = np.array(plant.model.qpos0), np.zeros(plant.model.nv)
         self._start(_equilibrium(scenario, plant, self._events, gravity, remembered))
-        self._reference = np.zeros((4, self.ticks, n))
-        self._reference[:3] = trajectory.position, trajectory.velocity, trajectory.acceleration
-        if trajectory.torque is not None:
-            self._reference[3] = trajectory.torque
+        if remembered is None:
+            self._reference = _table(trajectory)
+        else:
+            self._reference = remembered.of((trajectory,), "reference", lambda: _table(trajectory))
         external = scenario.external
         self._external = None if external is None else np.ascontiguousarray(external, float)
         self._record = np.full((len(CHANNELS), self.ticks, n), np.nan)

@@ -14,8 +14,8 @@ from dashpot.lanes.run import LaneRun, launch, unfit
 from dashpot.recording import CHANNELS, Recording
 from dashpot.simulate import Scenario, run
 
-TOGETHER = 64  # scenarios, unless their recordings are long: those of another time step find company, too
-MEMORY = 100e6  # [B] of the recordings that are held at a time
+TOGETHER = 128  # scenarios, unless their recordings are long: those of another time step find company, too
+MEMORY = 200e6  # [B] of the recordings that are held at a time
 MUJOCO, LANES = 1, 2
 WRONG = (DashpotError, ArithmeticError, np.linalg.LinAlgError)
 

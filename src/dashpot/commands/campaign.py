@@ -28,8 +28,8 @@ from dashpot.plots import save
 from dashpot.workers import remembered_interrupts
 
 if TYPE_CHECKING:
-    from dashpot.cli import Campaign as Options
-    from dashpot.cli import Replay
+    from dashpot.cli.simulate import Campaign as Options
+    from dashpot.cli.simulate import Replay
 
 
 def needs_campaign_extra() -> None:
@@ -101,7 +101,7 @@ def campaign(options: Options) -> int:
 
 def replay(options: Replay) -> int:
     """``dashpot replay``; returns the exit status: 1 if it diverged or differs from the dataset."""
-    from dashpot.cli import Simulate
+    from dashpot.cli.simulate import Simulate
 
     needs_campaign_extra()
     quiet_engine()

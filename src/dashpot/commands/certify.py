@@ -21,7 +21,7 @@ from dashpot.robot import Robot
 from dashpot.testbench import hidden, write
 
 if TYPE_CHECKING:
-    from dashpot.cli import Certify, Map
+    from dashpot.cli.design import Certify, Map
 
 POINTS = 44  # of R and of D in the picture of a certificate
 MOST_POINTS = 1000

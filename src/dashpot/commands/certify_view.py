@@ -19,7 +19,7 @@ from dashpot.drive import Drive
 from dashpot.testbench import hidden, suggested_tap
 
 if TYPE_CHECKING:
-    from dashpot.cli import Certify
+    from dashpot.cli.design import Certify
 
 SLOWEST = 0.01  # [1/s] growth below which a simulation shows nothing in reasonable time
 SHORT = {

@@ -22,7 +22,7 @@ from dashpot.robot import Robot
 from dashpot.workers import cores, each
 
 if TYPE_CHECKING:
-    from dashpot.cli import Design as Options
+    from dashpot.cli.design import Design as Options
     from dashpot.design.candidates import Duty
 
 Task = tuple["Duty", Wishes, bool, Path]

@@ -13,7 +13,7 @@ from dashpot.design.design import Design, JointDesign
 from dashpot.design.wishes import LIMITS, UNITS
 
 if TYPE_CHECKING:
-    from dashpot.cli import Design as Options
+    from dashpot.cli.design import Design as Options
     from dashpot.design.candidates import Duty
 
 GAINS = {"R": "-", "D": "N m s/rad", "K": "N m/rad", "kp": "N m/rad", "kd": "N m s/rad"}

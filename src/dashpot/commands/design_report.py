@@ -15,7 +15,7 @@ from dashpot.design.wishes import AT_LEAST
 from dashpot.report import image, page, table
 
 if TYPE_CHECKING:
-    from dashpot.cli import Design as Options
+    from dashpot.cli.design import Design as Options
     from dashpot.design.candidates import Duty
 
 SUMMARY = ("stop_time", "travel", "hold", "load_error", "error_ratio", "noise")

@@ -22,7 +22,7 @@ from dashpot.design.design import Design, JointDesign
 from dashpot.robot import Robot
 
 if TYPE_CHECKING:
-    from dashpot.cli import Design as Options
+    from dashpot.cli.design import Design as Options
     from dashpot.design.candidates import Duty
 
 COLUMNS = ("stop_time", "travel", "hold", "creep", "load_error", "error_ratio", "noise", "damping_ratio")

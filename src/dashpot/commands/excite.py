@@ -19,7 +19,7 @@ from dashpot.plots import save
 from dashpot.robot import Robot
 
 if TYPE_CHECKING:
-    from dashpot.cli import Excite
+    from dashpot.cli.identify import Excite
 
 PERIOD = 0.005  # [s] of motion.csv where no controller gives one
 

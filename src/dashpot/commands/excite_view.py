@@ -15,7 +15,7 @@ from dashpot.excite.promise import CERTAIN_SCALE
 from dashpot.plots import BLACK, BLUE, GREEN, GREY, VERMILLION, Figure, new_figure
 
 if TYPE_CHECKING:
-    from dashpot.cli import Excite
+    from dashpot.cli.identify import Excite
 
 WIDE = 0.25  # relative half-width that is marked
 TOLD = {

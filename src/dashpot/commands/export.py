@@ -21,7 +21,7 @@ from dashpot.output import whole_folder
 from dashpot.robot import Robot
 
 if TYPE_CHECKING:
-    from dashpot.cli import Export
+    from dashpot.cli.deploy import Export
 
 
 def export(options: Export) -> int:

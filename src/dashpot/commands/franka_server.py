@@ -21,7 +21,7 @@ from dashpot.payload import Payload
 from dashpot.robot import Robot
 
 if TYPE_CHECKING:
-    from dashpot.cli import FrankaServer
+    from dashpot.cli.deploy import FrankaServer
 
 PRIORITY = 60  # of the real-time scheduler, where it may be had
 

@@ -19,7 +19,7 @@ from dashpot.output import whole_folder
 from dashpot.robot import Robot
 
 if TYPE_CHECKING:
-    from dashpot.cli import Identify
+    from dashpot.cli.identify import Identify
 
 ESSENTIAL = ("rotor_inertia", "viscous_friction", "coulomb_friction")
 """What a log must tell; without it the exit status is 1."""

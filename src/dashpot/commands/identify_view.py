@@ -21,7 +21,7 @@ from dashpot.log import Log
 from dashpot.robot import Robot
 
 if TYPE_CHECKING:
-    from dashpot.cli import Identify
+    from dashpot.cli.identify import Identify
 
 NAMES = {
     "rotor_inertia": "rotor inertia",

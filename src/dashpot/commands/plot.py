@@ -17,7 +17,7 @@ from dashpot.plots import save
 from dashpot.sampled import Floats
 
 if TYPE_CHECKING:
-    from dashpot.cli import Plot
+    from dashpot.cli.identify import Plot
 
 
 def plot(options: Plot) -> int:

@@ -25,7 +25,7 @@ from dashpot.errors import InputError
 from dashpot.report import facts, image, page, table
 
 if TYPE_CHECKING:
-    from dashpot.cli import Report
+    from dashpot.cli.simulate import Report
 
 LISTED = 20  # failed scenarios that are named
 

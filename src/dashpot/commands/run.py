@@ -40,7 +40,7 @@ from dashpot.supervisor import Supervisor
 from dashpot.trajectory import Trajectory, hold
 
 if TYPE_CHECKING:
-    from dashpot.cli import Run
+    from dashpot.cli.deploy import Run
     from dashpot.plant import Plant
 
 SIMULATED = 10.0  # [s] that a simulated arm is held where nobody says

@@ -18,7 +18,7 @@ from dashpot.hardware.realtime import Measure
 from dashpot.hardware.runtime import Outcome
 
 if TYPE_CHECKING:
-    from dashpot.cli import Run
+    from dashpot.cli.deploy import Run
 
 VERDICTS = {True: "[green]pass[/]", False: "[bold red]fail[/]", None: "[yellow]not checked[/]"}
 ENDS = {

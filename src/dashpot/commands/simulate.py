@@ -28,7 +28,7 @@ from dashpot.trace import run_traced
 from dashpot.trajectory import Trajectory, hold, multisine
 
 if TYPE_CHECKING:
-    from dashpot.cli import Simulate
+    from dashpot.cli.simulate import Simulate
 
 from dashpot.commands.aside import run_aside
 from dashpot.commands.shared import payload_offset

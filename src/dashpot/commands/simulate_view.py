@@ -23,7 +23,7 @@ from dashpot.sampled import Floats
 from dashpot.vibration import CORNER, WINDOW, vibration
 
 if TYPE_CHECKING:
-    from dashpot.cli import Simulate
+    from dashpot.cli.simulate import Simulate
 
 
 OVER_NOISE, OF_LIMIT = 10.0, 0.02  # torque RMS that counts as oscillation: of the sensor noise, of the limit

@@ -21,7 +21,7 @@ from dashpot.errors import DashpotError, InputError
 from dashpot.payload import Payload
 
 if TYPE_CHECKING:
-    from dashpot.cli import Studio
+    from dashpot.cli.simulate import Studio
 
 EVERY = 10.0  # [s] between two lines of the soak, and two collections
 

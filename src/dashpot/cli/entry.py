@@ -1,0 +1,119 @@
+"""Entry point of the ``dashpot`` command: what is typed, how it ends, and how it is stopped."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Annotated, Any, Union
+
+import tyro
+
+from dashpot import __version__
+from dashpot.cli.overview import COMMANDS, overview
+from dashpot.errors import DashpotError, InputError, InputWarning
+
+
+def parse(arguments: Sequence[str]) -> Any:
+    """The command that was typed; what needs no command is answered here, and ends."""
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(overview())
+        sys.exit(0 if arguments else 2)
+    if arguments[0] == "--version":
+        print(f"dashpot {__version__}")
+        sys.exit(0)
+    if not arguments[0].startswith("-") and arguments[0] not in COMMANDS:
+        near = difflib.get_close_matches(arguments[0], COMMANDS, 1)
+        meant = f"did you mean {near[0]}?" if near else "dashpot --help lists them"
+        raise InputError(f"no such command; {meant}", quantity="command", value=arguments[0])
+    choices = tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items())
+    return tyro.cli(Union[choices], prog="dashpot", args=arguments)  # type: ignore[call-overload]  # noqa: UP007
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
+    label = "warning" if issubclass(category, InputWarning) else category.__name__
+    print(f"dashpot: {label}: {message}", file=sys.stderr)
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM or SIGHUP: its number."""
+
+
+def _terminate(number: int, _: object) -> None:
+    raise _Terminated(number)
+
+
+@contextmanager
+def _tidy_stop() -> Iterator[None]:
+    """Lets SIGTERM and a closed terminal stop the command as Ctrl-C does: unfinished output is removed."""
+    signals = [number for name in ("SIGTERM", "SIGHUP") if (number := getattr(signal, name, None))]
+    if threading.current_thread() is not threading.main_thread():
+        signals = []
+    taken = [number for number in signals if signal.getsignal(number) is signal.SIG_DFL]
+    for number in taken:
+        signal.signal(number, _terminate)
+    after: signal.Handlers = signal.SIG_DFL
+    try:
+        yield
+    except KeyboardInterrupt:  # on its way out: a second one, as `timeout` sends, changes nothing any more
+        after = signal.SIG_IGN
+        if signals and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            taken.append(signal.SIGINT)
+        raise
+    finally:
+        for number in taken:
+            signal.signal(number, after)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point; exits 0 on success, 1 where a verdict is no or the simulation diverges, 2 on bad input.
+
+    Ctrl-C exits 130, SIGTERM 143, SIGHUP 129.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a terminal without a character shows "?" for it
+            stream.reconfigure(errors="replace")
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", InputWarning)
+        warnings.showwarning = _show_warning
+        try:
+            command = parse(sys.argv[1:] if arguments is None else arguments)
+            with _tidy_stop():
+                status = command.run()
+        except DashpotError as error:
+            status = _fail(str(error))
+        except BrokenPipeError:  # the reader of our output has left: `dashpot ... | head`
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            status = 141
+        except OSError as error:
+            status = _fail(": ".join(str(part) for part in (error.filename, error.strerror or error) if part))
+        except MemoryError:
+            status = _fail("out of memory; ask for a shorter motion or fewer threads")
+        except KeyboardInterrupt as stop:
+            print("dashpot: stopped", file=sys.stderr)
+            status = 128 + stop.args[0] if isinstance(stop, _Terminated) else 130
+            _leave_if_running(status)
+    sys.exit(status)
+
+
+def _leave_if_running(status: int) -> None:
+    """Ends the process at once where the native loop still runs, under which no memory may be freed, or where
+    a pool of processes does not end.
+    """
+    from dashpot.commands import NATIVE_LOOP
+    from dashpot.workers import is_manager
+
+    if any(thread.name == NATIVE_LOOP or is_manager(thread) for thread in threading.enumerate()):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+
+
+def _fail(message: str) -> int:
+    print(f"dashpot: error: {message}", file=sys.stderr)
+    return 2

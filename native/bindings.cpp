@@ -367,6 +367,7 @@ NB_MODULE(_native, m) {
     bind_supervisor(m);
     bind_cycle(m);
     bind_lanes(m);
+    bind_measures(m);
 
     nb::dict sources;
     for (const auto &source : SOURCES)

@@ -53,5 +53,6 @@ void bind_arm(nb::module_ &m);    // bindings_arm.cpp
 void bind_lists(nb::module_ &m);  // the same
 void bind_cycle(nb::module_ &m);  // bindings_cycle.cpp
 void bind_lanes(nb::module_ &m);  // bindings_lanes.cpp
+void bind_measures(nb::module_ &m);  // bindings_measures.cpp
 
 #endif

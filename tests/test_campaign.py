@@ -18,7 +18,7 @@ import pytest
 
 from dashpot.campaign.execute import execute
 from dashpot.campaign.judge import judge, passed
-from dashpot.campaign.measures import MEASURES, measure, stops
+from dashpot.campaign.measures import MEASURES, measure
 from dashpot.campaign.scenario import FAILED, OK, Campaign
 from dashpot.campaign.spec import Spec
 from dashpot.campaign.store import Store, campaign_of, create, open_dataset, run_chunk
@@ -324,41 +324,6 @@ def test_the_report_judges_and_is_one_page(spec, tmp_path, capsys):
     assert second.worst[0].index == index
     assert f"dashpot replay {out} {index}" in text.replace("&#x27;", "'")
     assert "not met" in said
-
-
-def test_stops_of_a_decaying_swing():
-    period, pole = 1e-3, 8.0
-    time = period * np.arange(3000)
-    speed = 0.5 * np.exp(-pole * time)
-    angle = 0.5 / pole * (1 - np.exp(-pole * time))
-    never = np.full_like(time, 0.3)
-    found = stops(np.stack([angle, 0.3 * time]), np.stack([speed, never]), period)
-    assert found["stop_time"][0] == pytest.approx(math.log(20) / pole, abs=1.1 * period)
-    assert found["stop_angle"][0] == pytest.approx(0.5 / pole * 0.95, rel=1e-2)
-    assert found["travel"][0] == pytest.approx(0.5 / pole, rel=1e-6)
-    assert found["stop_time"][1] == math.inf
-    assert found["drift_speed"] == pytest.approx([0.0, 0.3], abs=1e-5)
-
-
-def test_measures_of_known_signals():
-    period, n = 1e-3, 4000
-    time = period * np.arange(n) - 1.0
-    zero = np.zeros((n, 1))
-    growing = (np.exp(0.8 * time) * np.sin(2 * np.pi * 12 * time))[:, None]
-    ripple = 0.02 * np.sin(2 * np.pi * 100 * time)[:, None] + np.sin(2 * np.pi * 0.5 * time)[:, None]
-    values = dict.fromkeys(CHANNELS, zero) | {"sample": growing, "command": ripple, "in_effect": -3 * ripple}
-    values["link_position"] = zero - 0.01
-    recording = Recording(("j",), time, zero, **values, status=np.zeros(n, np.int32))
-    found = measure(recording, None, np.array([6.0]), ["j"])
-    assert found["torque_noise"][0] == pytest.approx(0.02 / math.sqrt(2), rel=0.03)
-    assert found["growth"][0] == pytest.approx(math.exp(0.8), rel=0.02)
-    assert found["error_rms"][0] == found["error_max"][0] == found["error_mean"][0] == pytest.approx(0.01)
-    assert found["torque_share"][0] == pytest.approx(0.5, rel=0.03)
-    assert np.isnan(found["stop_time"]).all()
-    assert (found["limited"], found["diverged_at"]) == (0.0, math.inf)
-    after = measure(recording, 1.0, np.array([6.0]), [])
-    assert np.isnan(after["stop_time"]).all()  # not under the controller
-    assert after["error_after"][0] == pytest.approx(0.01)
 
 
 def test_memory_does_not_grow_with_the_number_of_scenarios(spec, tmp_path):

@@ -17,6 +17,7 @@ MAX_LATE: int
 TREE_SIZE: int
 MAX_LINKS: int
 LANES: dict[int, str]
+MEASURES: int
 SOURCES: dict[str, str]
 
 class Core:
@@ -240,6 +241,21 @@ class Lane:
         bare: NDArray[np.float64] | None,
     ) -> None: ...
 
+def measure(
+    tables: tuple[NDArray[np.float64], ...],
+    powered: NDArray[np.uint8] | None,
+    begin: int,
+    event: int,
+    period: float,
+    slowed: float,
+    at_rest: float,
+    stays: int,
+    last: int,
+    noise: NDArray[np.float64] | None,
+    vibration: NDArray[np.float64] | None,
+    window: int,
+    out: NDArray[np.float64],
+) -> None: ...
 def run_lanes(tree: NDArray[np.uint8], scenarios: list[Lane], width: int) -> None: ...
 def forward_dynamics(
     tree: NDArray[np.uint8],

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BPoly, CubicSpline
 
 from dashpot.errors import InputError, InputWarning
 from dashpot.logfiles.channels import TIME, Ints
@@ -14,6 +14,9 @@ from dashpot.logfiles.csvfile import numbers, write_table
 from dashpot.robot import MAX_ANGLE, Robot
 from dashpot.sampled import Floats
 from dashpot.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BPoly, CubicSpline
 
 KINDS = ("position", "velocity", "acceleration")
 AT_REST = 1e-3  # [rad/s] at which a motion may begin: the arm starts at rest
@@ -144,6 +147,8 @@ def _columns(path: Path, names: list[str], robot: Robot) -> dict[str, dict[str, 
 
 
 def _curve(time: Floats, given: dict[str, Floats]) -> BPoly | CubicSpline:
+    from scipy.interpolate import BPoly, CubicSpline  # long to import
+
     if "velocity" not in given:
         return CubicSpline(time, given["position"], bc_type="clamped")
     kinds = KINDS if "acceleration" in given else KINDS[:2]

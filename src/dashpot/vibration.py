@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from dashpot.sampled import Floats
 
@@ -22,6 +21,8 @@ def vibration(signal: Floats, period: float) -> tuple[Floats, Floats] | None:
     Returns:
         Two arrays (n,), or None where the signal is too short or sampled too slowly to tell.
     """
+    from scipy.signal import butter, sosfilt, sosfilt_zi  # a second to import
+
     if len(signal) * period < SETTLE or 0.5 / period <= 2 * CORNER:
         return None
     sections = butter(4, CORNER, "highpass", fs=1 / period, output="sos")

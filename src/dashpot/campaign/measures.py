@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfilt, sosfilt_zi
 
+import dashpot._native as _native
 from dashpot.controller import NOT_FINITE, RATE_LIMITED, TORQUE_LIMITED
 from dashpot.faults import BRAKE_DELAY
 from dashpot.recording import Recording
@@ -86,6 +86,12 @@ MEASURES = {
     "diverged_at": Measure("s", "time at which the simulation diverged; inf: never", False),
 }
 """Measures by name; `measure` gives them all."""
+_ROWS = (
+    *("error_rms", "error_max", "error_mean", "error_std", "error_after"),
+    *("stop_time", "stop_angle", "travel", "drift_speed"),
+    *("speed_peak", "torque_peak", "torque_step", "torque_noise", "vibration", "earlier"),
+)
+"""Of native/dashpot_measures.h, in its order."""
 
 
 def measure(
@@ -111,8 +117,9 @@ def measure(
         `not_finite` and `diverged_at`.
     """
     n = len(recording.joints)
-    nothing = np.full(n, np.nan)  # shared: values replace it, none is written into it
-    found: dict[str, Any] = {name: nothing if kind.per_joint else math.nan for name, kind in MEASURES.items()}
+    found: dict[str, Any] = {
+        name: np.full(n, np.nan) if kind.per_joint else math.nan for name, kind in MEASURES.items()
+    }
     found["limited"] = float(((recording.status & (TORQUE_LIMITED | RATE_LIMITED)) != 0).mean())
     found["not_finite"] = float(((recording.status & NOT_FINITE) != 0).mean())
     found["diverged_at"] = math.inf if recording.diverged_at is None else recording.diverged_at
@@ -120,43 +127,46 @@ def measure(
         return found
     time, period = recording.time, float(recording.time[1] - recording.time[0])
     begin = int(np.searchsorted(time, -1e-9))
-    at = None if event is None else int(np.searchsorted(time, event - 1e-9))
-    # Joint by joint from here on, (n, ticks): neighbours in memory are added up several times faster.
-    angle, speed, torque, command = (
-        _rows(signal)
-        for signal in (recording.link_position, recording.link_velocity, recording.torque, recording.command)
-    )
-    error = _rows(recording.reference) - angle
-    if (before := error[:, begin:at]).size:
-        found["error_rms"] = np.sqrt((before**2).mean(1))
-        found["error_max"] = largest(before)
-        found["error_mean"], found["error_std"] = before.mean(1), before.std(1)
-    if at is not None and at < len(time):
-        found["error_after"] = largest(error[:, at:])
-        braked = np.array([joint in controlled for joint in recording.joints])
-        stopped = stops(angle[:, at:], speed[:, at:], period)
-        found |= {name: np.where(braked, values, np.nan) for name, values in stopped.items()}
-    found["speed_peak"] = largest(speed)
-    found["torque_peak"] = largest(_rows(recording.in_effect))
-    found["torque_share"] = found["torque_peak"] / limits
+    at = len(time) if event is None else int(np.searchsorted(time, event - 1e-9))
+    numbers = dict(zip(_ROWS, _native_measures(recording, period, begin, at), strict=True))
+    for name in ("error_rms", "error_max", "error_mean", "error_std", "error_after", "speed_peak"):
+        found[name] = numbers[name]
+    braked = np.array([joint in controlled for joint in recording.joints])
+    for name in ("stop_time", "stop_angle", "travel", "drift_speed"):
+        found[name] = np.where(braked, numbers[name], np.nan)
+    found["torque_peak"], found["torque_share"] = numbers["torque_peak"], numbers["torque_peak"] / limits
     if rates is not None and len(time) > 1:
-        stepped = _rows(recording.command[_powered(recording)])
-        found["rate_share"] = largest(np.diff(stepped)) / (rates * period)
-    soft = 0.0 if stiffness is None else torque / stiffness[:, None]
-    found |= _decided(recording, event, controlled, period, angle + soft)
-    found["torque_noise"] = rms(above(command[:, begin:], period, NOISE_CORNER))
-    swing = above(_rows(recording.sample[begin:]), period, CORNER)
-    window = min(round(WINDOW / period), swing.shape[1] // 3)
-    if window:
-        found["vibration"] = rms(swing[:, -window:])
-        found["vibration_share"] = found["vibration"] / limits
-        earlier = rms(swing[:, -2 * window : -window])
-        found["growth"] = np.divide(found["vibration"], earlier, out=np.full(n, np.nan), where=earlier > 0)
+        found["rate_share"] = numbers["torque_step"] / (rates * period)
+    found |= _decided(recording, event, controlled, period, stiffness)
+    found["torque_noise"], found["vibration"] = numbers["torque_noise"], numbers["vibration"]
+    found["vibration_share"] = numbers["vibration"] / limits
+    earlier = numbers["earlier"]
+    found["growth"] = np.divide(numbers["vibration"], earlier, out=np.full(n, np.nan), where=earlier > 0)
+    return found
+
+
+def _native_measures(recording: Recording, period: float, begin: int, at: int) -> Floats:
+    """All that is taken joint by joint, (`_ROWS`, n): native/dashpot_measures.h."""
+    channels = ("reference", "link_position", "link_velocity", "command", "in_effect", "sample")
+    tables = tuple(np.ascontiguousarray(getattr(recording, name), float) for name in channels)
+    powered = _powered(recording)
+    last, stays = round(LAST / period), max(1, round(STAYS / period))
+    ticks = len(recording.time)
+    window = min(round(WINDOW / period), (ticks - begin) // 3)
+    found = np.empty((_native.MEASURES, len(recording.joints)))
+    filters = highpass(NOISE_CORNER, period), highpass(CORNER, period)
+    _native.measure(
+        tables, powered, begin, at, period, SLOWED, AT_REST, stays, last, *filters, max(window, 0), found
+    )
     return found
 
 
 def _decided(
-    recording: Recording, event: float | None, controlled: Sequence[str], period: float, rotor: Floats
+    recording: Recording,
+    event: float | None,
+    controlled: Sequence[str],
+    period: float,
+    stiffness: Floats | None,
 ) -> dict[str, Any]:
     """What the supervisor did and whether it was right; nothing where none ran."""
     said: Any = recording.settings.get("supervisor")
@@ -175,74 +185,41 @@ def _decided(
     end, closed = float(recording.time[-1]), [d["time"] for d in decisions if d["after"] == "safe"]
     if (closed and end - closed[0] >= BRAKE_DELAY + SLIPS + RESTS_FOR) or said["stopped"]:
         braked = [joint in controlled for joint in recording.joints]
-        last = rotor[braked, -1 - min(round(RESTS_FOR / period), rotor.shape[1] - 1) :]
-        found["stopped"] = float(np.ptp(last, axis=1).max() < RESTS)
+        last = slice(-1 - min(round(RESTS_FOR / period), len(recording.time) - 1), None)
+        rotor = recording.link_position[last]
+        if stiffness is not None:
+            rotor = rotor + recording.torque[last] / stiffness
+        found["stopped"] = float(np.ptp(rotor[:, braked], axis=0).max() < RESTS)
     return found
 
 
-def _powered(recording: Recording) -> NDArray[np.bool_]:
-    """Ticks at which the controller was called, (ticks,): in a brownout nobody limits a rate."""
-    on = np.ones(len(recording.time), bool)
+def _powered(recording: Recording) -> NDArray[np.uint8] | None:
+    """Whether the controller was called, per tick: in a brownout nobody limits a rate. None: at every one."""
     faults: Any = recording.settings.get("faults", ())
+    if all(fault["kind"] != "brownout" for fault in faults):
+        return None
+    on = np.ones(len(recording.time), np.uint8)
     period = float(recording.time[1] - recording.time[0])
     for fault in faults:
         if fault["kind"] == "brownout":
             first = round((fault["start"] - recording.time[0]) / period)
             last = max(round((min(fault.get("end", math.inf), 1e9) - recording.time[0]) / period), first + 1)
-            on[max(first, 0) : last] = False
+            on[max(first, 0) : last] = 0
     return on
 
 
-def stops(angle: Floats, velocity: Floats, period: float) -> dict[str, Floats]:
-    """How joints stop: times [s], ways [rad] and final drift [rad/s], each (n,), from rows (n, ticks).
-
-    A joint has stopped from the first tick on after which its speed stays below 5 % of what it was at the
-    first one, or below 0.5 deg/s, for 50 ms; to the end, if that comes earlier.
-    """
-    n, ticks = angle.shape
-    way = np.abs(angle - angle[:, :1])
-    slow = np.abs(velocity) < np.maximum(SLOWED * np.abs(velocity[:, :1]), AT_REST)
-    stays = max(1, min(round(STAYS / period), ticks))
-    counted = np.zeros((n, ticks + 1), np.int32)
-    np.cumsum(slow, axis=1, out=counted[:, 1:])
-    stopped = counted[:, stays:] - counted[:, :-stays] == stays
-    first, ever = stopped.argmax(1), stopped.any(1)
-    farthest = np.maximum.accumulate(way, axis=1)
-    last = min(round(LAST / period), ticks - 1)
-    return {
-        "stop_time": np.where(ever, first * period, np.inf),
-        "stop_angle": np.where(ever, farthest[np.arange(n), first], farthest[:, -1]),
-        "travel": farthest[:, -1],
-        "drift_speed": np.abs(angle[:, -1] - angle[:, -1 - last]) / (last * period)
-        if last
-        else np.abs(velocity[:, -1]),
-    }
-
-
-def _rows(signal: Floats) -> Floats:
-    """A signal over time, (ticks, n), as rows (n, ticks)."""
-    return np.ascontiguousarray(signal.T)
-
-
-def above(signal: Floats, period: float, corner: float) -> Floats:
-    """The part of rows above a frequency [Hz]; empty where they are sampled too slowly to tell."""
-    if 0.5 / period <= 1.5 * corner or not np.isfinite(signal).all():
-        return signal[:, :0]
-    sections, settled = _highpass(corner, period)
-    return np.asarray(sosfilt(sections, signal, zi=settled * signal[:, :1])[0])
-
-
-def largest(signal: Floats) -> Floats:
-    """Largest absolute value of rows; 0 of none."""
-    return np.asarray(np.maximum(signal.max(1, initial=0.0), -signal.min(1, initial=0.0)))
-
-
-def rms(signal: Floats) -> Floats:
-    """Root mean square of rows; NaN of none."""
-    return np.sqrt((signal**2).mean(1)) if signal.size else np.full(len(signal), np.nan)
-
-
 @cache
-def _highpass(corner: float, period: float) -> tuple[Floats, Floats]:
-    sections = butter(4, corner, "highpass", fs=1 / period, output="sos")
-    return sections, sosfilt_zi(sections)[:, None]
+def highpass(corner: float, period: float) -> Floats | None:
+    """A Butterworth high-pass of fourth order at a corner [Hz], two sections of b0 b1 b2 a1 a2: (2, 5).
+
+    Bilinear, with the corner where it is asked for. None: sampled too slowly to tell.
+    """
+    if 0.5 / period <= 1.5 * corner:
+        return None
+    k = math.tan(math.pi * corner * period)
+    sections = []
+    for angle in (math.pi / 8, 3 * math.pi / 8):
+        damping = 2 * k * math.cos(angle)
+        scale = 1 / (1 + damping + k * k)
+        sections.append([scale, -2 * scale, scale, 2 * (k * k - 1) * scale, (1 - damping + k * k) * scale])
+    return np.array(sections)

@@ -30,7 +30,7 @@ studio: $(VENV)/.studio
 
 # About three minutes: the search for the gains of Fig. 6 (b).
 evidence-fig6: $(VENV)/.installed
-	$(BIN)/python -m dashpot.studies.instability > docs/evidence/fig6.json.part
+	$(BIN)/python -m dashpot.paper.instability > docs/evidence/fig6.json.part
 	mv docs/evidence/fig6.json.part docs/evidence/fig6.json
 
 # About ten minutes: tries to prove the certificate wrong on 10,000 joints.

@@ -38,12 +38,13 @@ from measure import SETS, Rows, Timed, bytes_in_use, calls, interleave
 from rich.console import Console
 
 import dashpot._native as _native
-from dashpot.controller import Controller, ControllerConfig, JointGains, load_controller
-from dashpot.plant import Plant, build
-from dashpot.robot import Robot
-from dashpot.sampled import NX, Floats
-from dashpot.simulate import Scenario, run, run_many
-from dashpot.trajectory import multisine
+from dashpot.arm.plant import Plant, build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, ControllerConfig, JointGains, load_controller
+from dashpot.control.sampled import NX
+from dashpot.simulation.simulate import Scenario, run, run_many
+from dashpot.simulation.trajectory import multisine
+from dashpot.support.arrays import Floats
 
 
 def fr3_config(robot: Robot, K: float = 0.0) -> ControllerConfig:

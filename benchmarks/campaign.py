@@ -16,7 +16,7 @@ from dashpot.campaign.execute import _local, execute
 from dashpot.campaign.scenario import Campaign
 from dashpot.campaign.spec import Spec
 from dashpot.campaign.store import Store, create
-from dashpot.engine import quiet_engine
+from dashpot.simulation.engine import quiet_engine
 
 TEXT = """
 robot = "fr3"

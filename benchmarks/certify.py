@@ -17,16 +17,16 @@ import numpy as np
 from measure import SETS, Rows, Timed, calls, interleave
 from rich.table import Table
 
+from dashpot.arm.drive import Drive
+from dashpot.arm.robot import Robot
 from dashpot.certify.box import certify_box
 from dashpot.certify.exact import at_rest, quadratic_form, storage
 from dashpot.certify.index import passivity_index, unfit
 from dashpot.certify.joint import sampled_joint
 from dashpot.certify.map import index_map
 from dashpot.certify.port import Port, lift
-from dashpot.controller import joint_block, load_controller
-from dashpot.drive import Drive
-from dashpot.robot import Robot
-from dashpot.sampled import VirtualPassive, add_position_loop, virtual_passive_block
+from dashpot.control.controller import joint_block, load_controller
+from dashpot.control.sampled import VirtualPassive, add_position_loop, virtual_passive_block
 
 WRIST = Drive("wrist", rotor_inertia=0.05, viscous_friction=0.6, stiffness=6e3, damping=0.7, torque_limit=40)
 PERIOD, SAMPLING, K = 5e-3, "average", 1.0

@@ -16,17 +16,17 @@ import numpy as np
 from measure import Rows, Timed, interleave
 
 import dashpot._native as _native
-from dashpot.controller import Controller, load_controller
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import Plant, build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, load_controller
 from dashpot.lanes.run import WIDTHS, LaneRun, tree_kept
 from dashpot.lanes.tree import Tree
-from dashpot.payload import Payload
-from dashpot.plant import Plant, build
-from dashpot.release import tracking_events
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
-from dashpot.simulate import Scenario
+from dashpot.simulation.release import tracking_events
+from dashpot.simulation.simulate import Scenario
+from dashpot.simulation.trajectory import multisine
 from dashpot.studies.lanes_cases import pinocchio_of
-from dashpot.trajectory import multisine
+from dashpot.support.arrays import Floats
 
 COUNT = 16  # scenarios side by side
 SECONDS = 0.12  # of each

@@ -14,9 +14,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from dashpot.payload import Payload
-from dashpot.plant import build
-from dashpot.robot import Robot
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
 
 WORLDS = {"warp": 64, "mjx": 256}
 STEPS, ROUNDS = 5, 5

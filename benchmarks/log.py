@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from measure import Rows, interleave
 
-from dashpot.logfiles.mcapwriter import INTERVAL, McapWriter
-from dashpot.logfiles.messages import COLUMNS, JOINT_STATE, JOINT_STATE_DEFINITION, SCALARS
-from dashpot.sampled import Floats
+from dashpot.logs.mcapwriter import INTERVAL, McapWriter
+from dashpot.logs.messages import COLUMNS, JOINT_STATE, JOINT_STATE_DEFINITION, SCALARS
+from dashpot.support.arrays import Floats
 
 JOINTS = [f"fr3_joint{i}" for i in range(1, 8)]
 RATE, BLOCK, SECONDS = 1000, 50, 4.0

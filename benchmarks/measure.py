@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 SETS = 5
 Timed = Callable[[], float]

@@ -9,19 +9,19 @@ import numpy as np
 from measure import SETS, Rows, interleave
 
 import dashpot._native as _native
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
 from dashpot.commands.run import standing
 from dashpot.commands.run_view import quantiles
-from dashpot.controller import Controller, load_controller
+from dashpot.control.controller import Controller, load_controller
+from dashpot.control.supervisor import Supervisor, SupervisorSettings
 from dashpot.hardware.interface import Sample
 from dashpot.hardware.ring import Ring
 from dashpot.hardware.runtime import LoopSettings, Outcome, control
 from dashpot.hardware.sim import SimHardware
-from dashpot.plant import build
-from dashpot.robot import Robot
-from dashpot.simulate import Scenario
+from dashpot.simulation.simulate import Scenario
+from dashpot.simulation.trajectory import hold
 from dashpot.studies.franka import take_turns
-from dashpot.supervisor import Supervisor, SupervisorSettings
-from dashpot.trajectory import hold
 
 SECONDS = 20.0
 

@@ -11,10 +11,11 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.signal import StateSpace, dlsim
 
-from dashpot.controller import Controller
-from dashpot.plant import Plant
-from dashpot.sampled import IN_EFFECT, NW, NX, Floats
-from dashpot.trajectory import Trajectory
+from dashpot.arm.plant import Plant
+from dashpot.control.controller import Controller
+from dashpot.control.sampled import IN_EFFECT, NW, NX
+from dashpot.simulation.trajectory import Trajectory
+from dashpot.support.arrays import Floats
 
 Step = Callable[[], object]
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from dashpot import Controller, ControllerConfig, Drive, JointGains
-from dashpot.controller import NOT_FINITE
+from dashpot.control.controller import NOT_FINITE
 
 drive = Drive(
     "elbow", rotor_inertia=0.2, viscous_friction=0.5, stiffness=1.2e4, damping=5.0, torque_limit=87.0

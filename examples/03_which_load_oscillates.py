@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 
 from dashpot import Controller, InputWarning, Payload, Robot, build, load_controller
-from dashpot.linear import linearise, modes
+from dashpot.simulation.linear import linearise, modes
 
 robot = Robot.load("k807")
 config = load_controller("k807-resonant")

@@ -1,11 +1,11 @@
 """Certify a joint controller of your own: a PD and a torque feedback, written as one linear block."""
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.box import certify_box
 from dashpot.certify.counterexample import counterexample
 from dashpot.certify.index import passivity_index
 from dashpot.certify.joint import sampled_joint
-from dashpot.drive import Drive
-from dashpot.sampled import POSITION, TORQUE, VELOCITY, empty_block
+from dashpot.control.sampled import POSITION, TORQUE, VELOCITY, empty_block
 
 period = 0.001  # s
 drive = Drive(

@@ -8,7 +8,7 @@ from dashpot.campaign.judge import judge
 from dashpot.campaign.scenario import Campaign
 from dashpot.campaign.spec import Spec
 from dashpot.campaign.store import Store, create, open_dataset
-from dashpot.simulate import run
+from dashpot.simulation.simulate import run
 
 SPEC = """
 robot = "fr3"

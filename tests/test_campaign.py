@@ -16,6 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
 from dashpot.campaign.execute import execute
 from dashpot.campaign.judge import judge, passed
 from dashpot.campaign.measures import MEASURES, measure
@@ -24,15 +27,12 @@ from dashpot.campaign.spec import Spec
 from dashpot.campaign.store import Store, campaign_of, create, open_dataset, run_chunk
 from dashpot.campaign.together import LANES, MUJOCO
 from dashpot.cli import main
-from dashpot.controller import Controller, load_controller
+from dashpot.control.controller import Controller, load_controller
 from dashpot.errors import DashpotError, InputError
 from dashpot.lanes import run_lanes
-from dashpot.payload import Payload
-from dashpot.plant import build
-from dashpot.recording import CHANNELS, Recording
-from dashpot.robot import Robot
-from dashpot.simulate import Event, Scenario, run
-from dashpot.trajectory import multisine
+from dashpot.simulation.recording import CHANNELS, Recording
+from dashpot.simulation.simulate import Event, Scenario, run
+from dashpot.simulation.trajectory import multisine
 
 ROBOT = """
 name = "one"

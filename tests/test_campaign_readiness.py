@@ -9,18 +9,18 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build
 from dashpot.campaign.judge import judge
 from dashpot.campaign.measures import MEASURES
 from dashpot.campaign.scenario import OK, Campaign
 from dashpot.campaign.spec import Spec
 from dashpot.campaign.store import create, open_dataset
 from dashpot.campaign.together import LANES, run_together
-from dashpot.faults import NAMES, Fault
-from dashpot.payload import Payload
-from dashpot.plant import build
-from dashpot.simulate import PayloadChange, run
+from dashpot.control.supervisor import STATES, SupervisorSettings
+from dashpot.simulation.faults import NAMES, Fault
+from dashpot.simulation.simulate import PayloadChange, run
 from dashpot.studies.readiness import evidence
-from dashpot.supervisor import STATES, SupervisorSettings
 
 PRESET = (files("dashpot") / "campaign" / "presets" / "readiness.toml").read_text()
 SEED = 5

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from dashpot.campaign.requirements import Requirement
 from dashpot.campaign.scenario import Campaign
 from dashpot.campaign.spec import CHUNK, Spec
+from dashpot.control.supervisorsettings import SupervisorSettings
 from dashpot.errors import DashpotError, InputError
-from dashpot.supervisorsettings import SupervisorSettings
 
 HEAD = 'robot = "fr3"\ncontroller = "fr3"\nduration = 0.2\n'
 SAMPLED = HEAD + 'sample = "{}"\ncount = 32\nseed = 4\n'

@@ -10,15 +10,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.counterexample import counterexample
 from dashpot.certify.exact import at_rest, crossings, quadratic_form, storage
 from dashpot.certify.index import GRID, passivity_index, settled
 from dashpot.certify.joint import Scales, sampled_joint
 from dashpot.certify.loads import GRAVITY, Load, loops, oscillation, radii
 from dashpot.certify.port import lift
-from dashpot.drive import Drive
+from dashpot.control.sampled import (
+    VirtualPassive,
+    add_position_loop,
+    empty_block,
+    pd_block,
+    virtual_passive_block,
+)
 from dashpot.errors import InputError
-from dashpot.sampled import VirtualPassive, add_position_loop, empty_block, pd_block, virtual_passive_block
 
 WRIST = Drive("w", rotor_inertia=0.05, viscous_friction=0.6, stiffness=6e3, damping=0.7, torque_limit=40)
 ELBOW = Drive("e", rotor_inertia=0.6, viscous_friction=2.0, stiffness=1.4e4, damping=5.0, torque_limit=87)

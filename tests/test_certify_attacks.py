@@ -14,6 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dashpot.arm.drive import Drive
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
 from dashpot.certify.box import Box, at, certify_box
 from dashpot.certify.counterexample import counterexample
 from dashpot.certify.exact import at_rest, crossings, quadratic_form, storage
@@ -21,13 +24,10 @@ from dashpot.certify.index import passivity_index
 from dashpot.certify.joint import Scales, sampled_joint
 from dashpot.certify.loads import Load, radii
 from dashpot.certify.port import lift
+from dashpot.certify.testbench import write as write_bench
 from dashpot.cli import main
-from dashpot.controller import ControllerConfig, JointGains
-from dashpot.drive import Drive
-from dashpot.errors import InputError, InputWarning
-from dashpot.plant import build
-from dashpot.robot import Robot
-from dashpot.sampled import (
+from dashpot.control.controller import ControllerConfig, JointGains
+from dashpot.control.sampled import (
     IN_EFFECT,
     POSITION,
     TORQUE,
@@ -38,7 +38,7 @@ from dashpot.sampled import (
     pd_block,
     virtual_passive_block,
 )
-from dashpot.testbench import write as write_bench
+from dashpot.errors import InputError, InputWarning
 
 H = 0.005
 
@@ -575,8 +575,8 @@ def test_wrong_joints_and_folders_are_refused(write, tmp_path, capsys):
     ],
 )
 def test_every_refused_joint_has_its_own_bench(write, tmp_path, monkeypatch, names):
-    monkeypatch.setattr("dashpot.plots.save", lambda figure, path: None)
-    monkeypatch.setattr("dashpot.commands.certify_plots.draw", lambda *_: None)
+    monkeypatch.setattr("dashpot.support.plots.save", lambda figure, path: None)
+    monkeypatch.setattr("dashpot.certify.plots.draw", lambda *_: None)
     controller = controller_file(write, [(name, 10.0, 3.0) for name in names])
     out = tmp_path / "out"
     assert run("certify", robot_file(write, names), controller, "--json", "--out", out) == 1

@@ -8,19 +8,19 @@ import math
 import numpy as np
 import pytest
 
+from dashpot.arm.drive import Drive
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import certify_arm
 from dashpot.certify.counterexample import Counterexample
 from dashpot.certify.index import passivity_index
 from dashpot.certify.joint import sampled_joint
 from dashpot.certify.loads import Load, oscillation
 from dashpot.certify.map import index_map
+from dashpot.certify.testbench import replay, write
 from dashpot.cli import main
-from dashpot.controller import ControllerConfig, JointGains, joint_block, load_controller
-from dashpot.drive import Drive
-from dashpot.recording import Recording
-from dashpot.robot import Robot
-from dashpot.sampled import VirtualPassive, add_position_loop, virtual_passive_block
-from dashpot.testbench import replay, write
+from dashpot.control.controller import ControllerConfig, JointGains, joint_block, load_controller
+from dashpot.control.sampled import VirtualPassive, add_position_loop, virtual_passive_block
+from dashpot.simulation.recording import Recording
 
 ROBOT = """
 name = "one"

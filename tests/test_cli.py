@@ -14,16 +14,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
 from dashpot.cli import main
-from dashpot.controller import Controller, load_controller
+from dashpot.control.controller import Controller, load_controller
 from dashpot.errors import InputError
-from dashpot.output import whole_folder
-from dashpot.plant import build
-from dashpot.recording import Recording
-from dashpot.robot import Robot
-from dashpot.simulate import Scenario, run
-from dashpot.trajectory import hold
-from dashpot.vibration import vibration
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.simulate import Scenario, run
+from dashpot.simulation.trajectory import hold
+from dashpot.simulation.vibration import vibration
+from dashpot.support.output import whole_folder
 
 ROBOT, WRIST = Robot.load("k807"), load_controller("k807-wrist")
 SHORT = ("simulate", "k807", "k807-wrist", "--duration", "0.05")

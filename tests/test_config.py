@@ -12,13 +12,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dashpot.controller import Controller, ControllerConfig, JointGains, joint_block, load_controller
-from dashpot.drive import Drive
+from dashpot.arm.drive import Drive
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, ControllerConfig, JointGains, joint_block, load_controller
+from dashpot.control.law import max_torque_gain_error
+from dashpot.control.sampled import VirtualPassive
+from dashpot.control.supervisorsettings import SupervisorSettings
 from dashpot.errors import DashpotError, InputError, InputWarning
-from dashpot.law import max_torque_gain_error
-from dashpot.robot import Robot
-from dashpot.sampled import VirtualPassive
-from dashpot.supervisorsettings import SupervisorSettings
 
 JOINT = {"name": "j1", "R": 5.0, "D": 4.0, "K": 1.0, "kp": 20.0, "kd": 1.0}
 FILE = {

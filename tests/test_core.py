@@ -13,11 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dashpot import _native
-from dashpot.controller import BLENDING, NOT_FINITE, RATE_LIMITED, TORQUE_LIMITED, Controller
-from dashpot.errors import InputError
-from dashpot.plant import DRIVE_DTYPE
-from dashpot.prepare import EVENT_DTYPE
-from dashpot.sampled import (
+from dashpot.arm.plant import DRIVE_DTYPE
+from dashpot.control.controller import BLENDING, NOT_FINITE, RATE_LIMITED, TORQUE_LIMITED, Controller
+from dashpot.control.sampled import (
     BLOCK_DTYPE,
     NW,
     VirtualPassive,
@@ -26,6 +24,8 @@ from dashpot.sampled import (
     pd_block,
     virtual_passive_block,
 )
+from dashpot.errors import InputError
+from dashpot.simulation.prepare import EVENT_DTYPE
 
 NATIVE = Path(__file__).parent.parent / "native"
 H = 1e-3

@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import certify_joint, paired
 from dashpot.certify.joint import sampled_joint
 from dashpot.certify.loads import loops
-from dashpot.controller import Controller, JointGains
+from dashpot.control.controller import Controller, JointGains
 from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Duty, Gains
 from dashpot.design.carried import carried
@@ -23,7 +24,6 @@ from dashpot.design.search import CORNER, COSTLY, KD, RATIO, ZETA, G, JointSearc
 from dashpot.design.spec import Spec
 from dashpot.design.wishes import LIMITS, PRESETS, Wishes
 from dashpot.errors import InputError, InputWarning
-from dashpot.robot import Robot
 from dashpot.studies.designs import off, predicted
 from dashpot.studies.designs_bench import stop
 from dashpot.studies.designs_cases import random_duty

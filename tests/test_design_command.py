@@ -15,16 +15,16 @@ from typing import get_args, get_type_hints
 
 import pytest
 
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import certify_arm
 from dashpot.cli import main
 from dashpot.cli.design import Design as Options
 from dashpot.commands.design import MEANS, specification
-from dashpot.commands.design_quantities import QUANTITIES, significant
-from dashpot.controller import load_controller
+from dashpot.control.controller import load_controller
 from dashpot.design.design import PREDICTED, design_arm, duties
+from dashpot.design.quantities import QUANTITIES, significant
 from dashpot.design.spec import WISHES, Spec
 from dashpot.design.wishes import LIMITS, Wish
-from dashpot.robot import Robot
 
 ROBOT = """
 name = "one"

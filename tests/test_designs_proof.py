@@ -12,9 +12,9 @@ from dashpot.certify.exact import holds
 from dashpot.certify.joint import sampled_joint
 from dashpot.certify.loads import radii
 from dashpot.certify.port import lift
+from dashpot.control.sampled import add_position_loop
 from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Gains
-from dashpot.sampled import add_position_loop
 from dashpot.studies import designs_necessary as necessary
 from dashpot.studies.designs_necessary import Corner, Inequalities, creeping, entries, unstable
 from dashpot.studies.designs_proof import FEW, INSTEAD, Bounds, asked, both, coordinates, refute

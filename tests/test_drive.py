@@ -8,9 +8,9 @@ import warnings
 
 import pytest
 
-from dashpot.drive import UNCERTAIN, Drive, InnerLoop, Servo
+from dashpot.arm.drive import UNCERTAIN, Drive, InnerLoop, Servo
 from dashpot.errors import InputError, InputWarning
-from dashpot.tables import Range
+from dashpot.support.tables import Range
 
 GOOD = {"name": "j1", "rotor_inertia": 0.2, "viscous_friction": 0.5, "stiffness": 1e4, "torque_limit": 40.0}
 NUMBERS = [(f.name, f.metadata["range"]) for f in dataclasses.fields(Drive) if "range" in f.metadata]

@@ -9,22 +9,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dashpot.controller import MODES, Controller, ControllerConfig, load_controller
-from dashpot.drive import Drive
-from dashpot.energy import EnergyMeter
+from dashpot.arm.drive import Drive
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import MODES, Controller, ControllerConfig, load_controller
+from dashpot.control.energy import EnergyMeter
+from dashpot.control.jointlaw import JointGains
+from dashpot.control.supervisor import STATES, SupervisorSettings
 from dashpot.errors import InputError
-from dashpot.faults import Fault
-from dashpot.jointlaw import JointGains
-from dashpot.log import from_recording
-from dashpot.logfiles import read_log
-from dashpot.logfiles.runlog import write_run
-from dashpot.logfiles.samples import read_samples
-from dashpot.plant import build
-from dashpot.robot import Robot
-from dashpot.simulate import Event, Scenario, run
-from dashpot.supervisor import STATES, SupervisorSettings
-from dashpot.trace import run_traced
-from dashpot.trajectory import multisine
+from dashpot.logs import read_log
+from dashpot.logs.log import from_recording
+from dashpot.logs.runlog import write_run
+from dashpot.logs.samples import read_samples
+from dashpot.simulation.faults import Fault
+from dashpot.simulation.simulate import Event, Scenario, run
+from dashpot.simulation.trace import run_traced
+from dashpot.simulation.trajectory import multisine
 
 M, V = 0.6, 2.0
 DRIVE = Drive(

@@ -6,19 +6,19 @@ import mujoco
 import numpy as np
 import pytest
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build, full_mass
+from dashpot.arm.robot import Robot
 from dashpot.cli import main
-from dashpot.controller import Controller, load_controller
+from dashpot.control.controller import Controller, load_controller
 from dashpot.errors import InputError, InputWarning
 from dashpot.excite import Limits, excite, link_torque, motor_torque
 from dashpot.excite.promise import merit
 from dashpot.identify import identify_joint
 from dashpot.identify.refusals import CORE
-from dashpot.log import from_recording
-from dashpot.motionfile import read_motion, write_motion
-from dashpot.payload import Payload
-from dashpot.plant import build, full_mass
-from dashpot.robot import Robot
-from dashpot.simulate import Scenario, run
+from dashpot.logs.log import from_recording
+from dashpot.logs.motionfile import read_motion, write_motion
+from dashpot.simulation.simulate import Scenario, run
 
 K807 = Robot.load("k807")
 LIMITS = Limits(amplitude=0.3, speed=0.4, torque_share=0.55)

@@ -13,9 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dashpot._native as _native
+from dashpot.arm.drive import Drive
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import certify_arm
-from dashpot.controller import Controller, ControllerConfig
-from dashpot.drive import Drive
+from dashpot.control.controller import Controller, ControllerConfig
+from dashpot.control.jointlaw import JointGains
+from dashpot.control.laws import LAWS
 from dashpot.errors import InputError
 from dashpot.export.c import Export
 from dashpot.export.compiler import compiler
@@ -24,9 +27,6 @@ from dashpot.export.selfcheck import controller_hash
 from dashpot.export.source import core_texts
 from dashpot.export.summary import digest, plain, verdict
 from dashpot.export.tables import c_double
-from dashpot.jointlaw import JointGains
-from dashpot.laws import LAWS
-from dashpot.robot import Robot
 from dashpot.studies.export import FUSED, GUARD, unguarded
 from dashpot.studies.export_cases import (
     BUNDLED,
@@ -275,7 +275,7 @@ def test_the_header_says_what_is_proven():
 def test_the_exported_block_is_the_certified_one():
     """Certificate, Python and export are given the same coefficients."""
     from dashpot.certify.certificate import paired
-    from dashpot.controller import joint_block
+    from dashpot.control.controller import joint_block
 
     export = bundled("fr3", "fr3")
     for (drive, law), block in zip(

@@ -14,18 +14,26 @@ from hypothesis import strategies as st
 from test_plant import fine, one_joint, torque_source, vpc  # noqa: F401 - a fixture
 from test_simulate import same
 
-from dashpot.controller import Controller, load_controller
-from dashpot.drive import InnerLoop, Servo
+from dashpot.arm.drive import InnerLoop, Servo
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build, with_payload
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, load_controller
+from dashpot.control.sampled import empty_block
 from dashpot.errors import InputError
-from dashpot.faults import BRAKE_DELAY, KINDS, NAMES, Fault, brake_torque, short_corner, short_damping
-from dashpot.loop import Loop
-from dashpot.payload import Payload
-from dashpot.plant import build, with_payload
-from dashpot.recording import CHANNELS
-from dashpot.robot import Robot
-from dashpot.sampled import empty_block
-from dashpot.simulate import Event, PayloadChange, Scenario, run, run_many
-from dashpot.trajectory import Trajectory, hold, multisine
+from dashpot.simulation.faults import (
+    BRAKE_DELAY,
+    KINDS,
+    NAMES,
+    Fault,
+    brake_torque,
+    short_corner,
+    short_damping,
+)
+from dashpot.simulation.loop import Loop
+from dashpot.simulation.recording import CHANNELS
+from dashpot.simulation.simulate import Event, PayloadChange, Scenario, run, run_many
+from dashpot.simulation.trajectory import Trajectory, hold, multisine
 
 H = 5e-3
 SIGNAL = [name for name in NAMES if KINDS[name].acts_on == "signal"]

@@ -7,11 +7,11 @@ import sys
 import numpy as np
 import pytest
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.robot import Robot
 from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.franka import FrankaHardware
 from dashpot.hardware.interface import Hardware, Sample, carries_weight
-from dashpot.payload import Payload
-from dashpot.robot import Robot
 
 pylibfranka = pytest.importorskip(
     "pylibfranka", reason="no pylibfranka for this platform; it needs Linux on x86-64"

@@ -9,9 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dashpot._native import bounded, take, take_difference
-from dashpot.controller import Controller, load_controller
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, load_controller
 from dashpot.errors import InputError
-from dashpot.faults import Fault
 from dashpot.hardware.franka import STEP, TORQUE
 from dashpot.hardware.franka_server.arm import Arm, Gravity
 from dashpot.hardware.franka_server.limits import FR3
@@ -19,12 +21,10 @@ from dashpot.hardware.franka_server.messages import COMMAND, ERRORS, PAYLOADS, S
 from dashpot.hardware.franka_server.rules import Rules
 from dashpot.hardware.franka_server.server import Server
 from dashpot.hardware.plantlink import PlantLink
-from dashpot.loop import Loop
-from dashpot.payload import Payload
-from dashpot.plant import build
-from dashpot.robot import Robot
-from dashpot.simulate import PayloadChange, Scenario
-from dashpot.trajectory import multisine
+from dashpot.simulation.faults import Fault
+from dashpot.simulation.loop import Loop
+from dashpot.simulation.simulate import PayloadChange, Scenario
+from dashpot.simulation.trajectory import multisine
 
 
 @pytest.fixture(scope="module")

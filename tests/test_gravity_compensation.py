@@ -11,17 +11,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dashpot.controller import Controller, load_controller
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, load_controller
+from dashpot.control.supervisor import SupervisorSettings
 from dashpot.errors import InputError
-from dashpot.faults import Fault
-from dashpot.loop import Loop
-from dashpot.payload import Payload
-from dashpot.plant import build
-from dashpot.rivals.gravity import with_feedforward
-from dashpot.robot import Robot
-from dashpot.simulate import Event, Scenario, run
-from dashpot.supervisor import SupervisorSettings
-from dashpot.trajectory import hold, multisine
+from dashpot.simulation.faults import Fault
+from dashpot.simulation.feedforward import with_feedforward
+from dashpot.simulation.loop import Loop
+from dashpot.simulation.simulate import Event, Scenario, run
+from dashpot.simulation.trajectory import hold, multisine
 
 FR3, CONFIG = Robot.load("fr3"), load_controller("fr3")
 H = CONFIG.period

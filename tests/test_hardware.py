@@ -19,22 +19,22 @@ from hypothesis import strategies as st
 from test_supervisor import H, guarded
 
 from dashpot import _native
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
 from dashpot.cli import main
 from dashpot.commands.run import standing
-from dashpot.controller import Controller, load_controller
-from dashpot.faults import Fault
+from dashpot.control.controller import Controller, load_controller
+from dashpot.control.supervisor import Supervisor, SupervisorSettings
 from dashpot.hardware.interface import Sample
 from dashpot.hardware.ring import COLUMNS, ROW_DTYPE, Ring
 from dashpot.hardware.runtime import LoopSettings, control
 from dashpot.hardware.sim import LinkSettings, SimHardware
-from dashpot.payload import Payload
-from dashpot.plant import build
-from dashpot.prepare import encoder_ranges
-from dashpot.recording import CHANNELS, Recording
-from dashpot.robot import Robot
-from dashpot.simulate import PayloadChange, Scenario, run
-from dashpot.supervisor import Supervisor, SupervisorSettings
-from dashpot.trajectory import Trajectory, multisine
+from dashpot.simulation.faults import Fault
+from dashpot.simulation.prepare import encoder_ranges
+from dashpot.simulation.recording import CHANNELS, Recording
+from dashpot.simulation.simulate import PayloadChange, Scenario, run
+from dashpot.simulation.trajectory import Trajectory, multisine
 
 CALM = LoopSettings(priority=0)  # nothing is asked of the operating system
 FLOW = replace(CALM, flow=True)

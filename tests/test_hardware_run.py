@@ -17,22 +17,22 @@ import numpy as np
 import pytest
 from test_cli import dashpot  # noqa: F401 - a fixture
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import certify_arm
 from dashpot.certify.digest import JUDGED, digest
-from dashpot.controller import Controller, load_controller
+from dashpot.control.controller import Controller, load_controller
+from dashpot.control.supervisor import Supervisor, SupervisorSettings
 from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.checks import Heard, Verdicts, at_rest, before_link, listen
 from dashpot.hardware.interface import Hardware, Sample
 from dashpot.hardware.realtime import undisturbed
 from dashpot.hardware.runtime import LoopSettings, control, joint_order
 from dashpot.hardware.sim import LinkSettings, SimHardware
-from dashpot.payload import Payload
-from dashpot.plant import build
-from dashpot.prepare import encoder_ranges
-from dashpot.robot import Robot
-from dashpot.simulate import Scenario
-from dashpot.supervisor import Supervisor, SupervisorSettings
-from dashpot.trajectory import hold, multisine
+from dashpot.simulation.prepare import encoder_ranges
+from dashpot.simulation.simulate import Scenario
+from dashpot.simulation.trajectory import hold, multisine
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 ROBOT, CONFIG = Robot.load(EXAMPLES / "own_arm.toml"), load_controller(EXAMPLES / "own_gains.toml")

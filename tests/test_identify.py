@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from dashpot.drive import Drive
+from dashpot.arm.drive import Drive
 from dashpot.errors import InputError, InputWarning
 from dashpot.identify import identify_joint
 from dashpot.identify.refusals import ALL
 from dashpot.identify.regression import long_run, two_stage
 from dashpot.identify.transmission import stop
 from dashpot.identify.weak import WeakForm, sensor_memory
-from dashpot.log import Log, Segment
+from dashpot.logs.log import Log, Segment
 from dashpot.studies import identification_blind, identification_cases
 from dashpot.studies.identification import judge, judge_blind, plain_least_squares
 from dashpot.studies.identification_blind import KINDS

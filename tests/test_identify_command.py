@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
 from dashpot.cli import main
-from dashpot.controller import Controller, load_controller
-from dashpot.log import Log, Segment, from_recording
-from dashpot.logfiles import write_log
-from dashpot.payload import Payload
-from dashpot.plant import build
-from dashpot.robot import Robot
-from dashpot.simulate import Scenario, run
-from dashpot.trajectory import multisine
+from dashpot.control.controller import Controller, load_controller
+from dashpot.logs import write_log
+from dashpot.logs.log import Log, Segment, from_recording
+from dashpot.simulation.simulate import Scenario, run
+from dashpot.simulation.trajectory import multisine
 
 GAINS = """period = 0.001
 sampling = "average"

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from dashpot.controller import Controller
-from dashpot.drive import Drive, Servo
+from dashpot.arm.drive import Drive, Servo
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller
+from dashpot.control.sampled import VELOCITY_REF, empty_block
 from dashpot.errors import InputError
-from dashpot.plant import build
-from dashpot.robot import Robot
-from dashpot.sampled import VELOCITY_REF, empty_block
-from dashpot.simulate import Scenario, run
-from dashpot.trajectory import Trajectory
+from dashpot.simulation.simulate import Scenario, run
+from dashpot.simulation.trajectory import Trajectory
 
 ARM = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="j" axis="0 1 0"/>
 <inertial mass="1" pos="0 0 0" diaginertia=".1 .1 .1"/></body></worldbody></mujoco>"""

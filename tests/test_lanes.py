@@ -13,19 +13,19 @@ import numpy as np
 import pytest
 
 import dashpot._native as _native
+from dashpot.arm.drive import Drive, Servo
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build, with_timestep
+from dashpot.arm.robot import Robot
 from dashpot.campaign.together import on_lanes
-from dashpot.controller import Controller, load_controller
-from dashpot.drive import Drive, Servo
+from dashpot.control.controller import Controller, load_controller
 from dashpot.errors import InputWarning, ModelError
 from dashpot.lanes import WIDTHS, run_lanes, tree_of, unfit
-from dashpot.payload import Payload
-from dashpot.plant import build, with_timestep
-from dashpot.recording import CHANNELS
-from dashpot.release import tracking_events
-from dashpot.robot import Robot
-from dashpot.simulate import Scenario, run
+from dashpot.simulation.recording import CHANNELS
+from dashpot.simulation.release import tracking_events
+from dashpot.simulation.simulate import Scenario, run
+from dashpot.simulation.trajectory import hold, multisine
 from dashpot.studies.lanes_cases import pinocchio_of, random_arm, random_config, random_scenario
-from dashpot.trajectory import hold, multisine
 
 ARMS = [("fr3", "fr3"), ("iiwa14", "iiwa14"), ("k807", "k807-wrist")]
 SEED = 20261122

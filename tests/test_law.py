@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from dashpot.errors import InputError
-from dashpot.law import (
+from dashpot.control.law import (
     K_tau_from_R,
     R_from_K_tau,
     TorqueFeedbackLaw,
@@ -21,7 +20,8 @@ from dashpot.law import (
     positive_real_with_model_error,
     static_R,
 )
-from dashpot.network import VirtualNetwork, as_matrix
+from dashpot.control.network import VirtualNetwork, as_matrix
+from dashpot.errors import InputError
 
 W = np.geomspace(1e-4, 1e5, 400)
 

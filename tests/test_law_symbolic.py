@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from dashpot.law import TorqueFeedbackLaw, positive_real_margin, positive_real_with_model_error
+from dashpot.control.law import TorqueFeedbackLaw, positive_real_margin, positive_real_with_model_error
 
 m, R, D, J, Kp, Kd = sp.symbols("m R D J K_p K_d", positive=True)
 v, K = sp.symbols("v K", nonnegative=True)

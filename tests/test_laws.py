@@ -13,11 +13,13 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from test_sampled import decades, feedback, laws, transfer
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.certificate import certify_joint
 from dashpot.certify.index import CONSTANT_TORQUE, passivity_index
 from dashpot.certify.joint import Scales, holds_torque, sampled_joint
 from dashpot.certify.loads import GROWS, radii
-from dashpot.controller import (
+from dashpot.certify.testbench import _toml, replay, write
+from dashpot.control.controller import (
     NOT_FINITE,
     RATE_LIMITED,
     TORQUE_LIMITED,
@@ -26,11 +28,9 @@ from dashpot.controller import (
     JointGains,
     joint_block,
 )
-from dashpot.drive import Drive
-from dashpot.errors import InputError
-from dashpot.laws import LAWS, law_from_table, to_table
-from dashpot.rivals.brakes import EncoderDamping, LatchedTorque, Off, RotorObserver, StaticFeedback
-from dashpot.rivals.tracking import (
+from dashpot.control.laws import LAWS, law_from_table, to_table
+from dashpot.control.rivals.brakes import EncoderDamping, LatchedTorque, Off, RotorObserver, StaticFeedback
+from dashpot.control.rivals.tracking import (
     PD,
     PID,
     DisturbanceObserver,
@@ -39,7 +39,7 @@ from dashpot.rivals.tracking import (
     PDScaled,
     TorqueFeedback,
 )
-from dashpot.sampled import (
+from dashpot.control.sampled import (
     ACCELERATION_REF,
     IN_EFFECT,
     NW,
@@ -51,7 +51,7 @@ from dashpot.sampled import (
     pd_block,
     without_encoder,
 )
-from dashpot.testbench import _toml, replay, write
+from dashpot.errors import InputError
 
 H = 1e-3
 DRIVE = Drive(

@@ -10,16 +10,16 @@ import pytest
 from test_plant import drive_with, one_joint, torque_source, vpc
 
 from dashpot import _native
-from dashpot import plant as plant_module
-from dashpot.controller import Controller, ControllerConfig, JointGains
-from dashpot.engine import engine
-from dashpot.linear import closed_loop, linearise, modes, spectral_radius
-from dashpot.payload import Payload
-from dashpot.plant import build
-from dashpot.recording import CHANNELS
-from dashpot.robot import Robot
-from dashpot.simulate import Event, Scenario, run
-from dashpot.trajectory import hold
+from dashpot.arm import plant as plant_module
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, ControllerConfig, JointGains
+from dashpot.simulation.engine import engine
+from dashpot.simulation.linear import closed_loop, linearise, modes, spectral_radius
+from dashpot.simulation.recording import CHANNELS
+from dashpot.simulation.simulate import Event, Scenario, run
+from dashpot.simulation.trajectory import hold
 
 H = 5e-3
 POSE = np.array([0.2, 0.5, -0.4, 1.4, 0.6, -0.9, 0.3])

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dashpot.controller import Controller, load_controller
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, load_controller
 from dashpot.errors import InputError
-from dashpot.log import Log, Segment, from_recording
-from dashpot.plant import build
-from dashpot.robot import Robot
-from dashpot.simulate import Scenario, run
-from dashpot.trajectory import multisine
+from dashpot.logs.log import Log, Segment, from_recording
+from dashpot.simulation.simulate import Scenario, run
+from dashpot.simulation.trajectory import multisine
 
 
 @pytest.fixture(scope="module")

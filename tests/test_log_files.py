@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from dashpot.errors import InputError, InputWarning
-from dashpot.log import Log, Segment
-from dashpot.logfiles import Topics, read_log, write_log
-from dashpot.logfiles.mcapwriter import NANO
-from dashpot.logfiles.messages import JOINT_STATE, JOINT_STATE_DEFINITION
+from dashpot.logs import Topics, read_log, write_log
+from dashpot.logs.log import Log, Segment
+from dashpot.logs.mcapwriter import NANO
+from dashpot.logs.messages import JOINT_STATE, JOINT_STATE_DEFINITION
 
 H = 0.002
 USUAL = Topics()

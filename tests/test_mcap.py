@@ -26,18 +26,18 @@ from mcap.records import Message
 from rosbags.highlevel import AnyReader
 
 from dashpot.errors import InputError, InputWarning
-from dashpot.logfiles import read_log
-from dashpot.logfiles.cdr import joint_message
-from dashpot.logfiles.mcapreader import scan
-from dashpot.logfiles.mcapwriter import INTERVAL, McapWriter
-from dashpot.logfiles.messages import (
+from dashpot.logs import read_log
+from dashpot.logs.cdr import joint_message
+from dashpot.logs.mcapreader import scan
+from dashpot.logs.mcapwriter import INTERVAL, McapWriter
+from dashpot.logs.messages import (
     COLUMNS,
     JOINT_STATE,
     JOINT_STATE_DEFINITION,
     SCALARS,
     TOPICS,
 )
-from dashpot.logfiles.samples import read_samples
+from dashpot.logs.samples import read_samples
 
 MS = 1_000_000
 SMALL = ("supervisor", "mode", "status")  # uint8
@@ -180,7 +180,7 @@ def test_the_index_says_what_is_there(tmp_path):
 
 CHILD = """
 import sys, time, numpy as np
-from dashpot.logfiles.mcapwriter import McapWriter
+from dashpot.logs.mcapwriter import McapWriter
 log = McapWriter(sys.argv[1], ["a", "b"], period=1e-3)
 for start in range(0, 10**9, 50):
     n = np.arange(start, start + 50)
@@ -320,7 +320,7 @@ def test_files_of_other_writers(tmp_path, compression, chunks):
             writer.add_message(channel, i, bytes(raw), i)
             writer.add_message(other, i, b"{}", i)
         writer.finish()
-    from dashpot.logfiles import Topics
+    from dashpot.logs import Topics
 
     samples = read_samples(path, Topics(states="/arm/states"))
     assert (samples.joints, set(samples.series)) == (("a", "b"), {"torque"})

@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from dashpot.controller import Controller, ControllerConfig, JointGains, load_controller
-from dashpot.payload import Payload
-from dashpot.plant import build, full_mass
-from dashpot.robot import BUNDLED, Robot
-from dashpot.simulate import Scenario, run
-from dashpot.trajectory import hold
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build, full_mass
+from dashpot.arm.robot import BUNDLED, Robot
+from dashpot.control.controller import Controller, ControllerConfig, JointGains, load_controller
+from dashpot.simulation.simulate import Scenario, run
+from dashpot.simulation.trajectory import hold
 
 FACTS = {  # total mass [kg], flange at home [m], its z axis there
     "k807": (53.3, (0.50621, 0, 0.49489), (1, 0, 0)),

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dashpot import plant as plant_module
-from dashpot.controller import Controller, ControllerConfig, JointGains
-from dashpot.drive import Drive, InnerLoop, Servo
+from dashpot.arm import plant as plant_module
+from dashpot.arm.drive import Drive, InnerLoop, Servo
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import HYSTERESIS, build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, ControllerConfig, JointGains
+from dashpot.control.law import bias_drift, creep_rate, hold_torque, static_R
+from dashpot.control.sampled import VELOCITY_REF, empty_block
 from dashpot.errors import InputError, InputWarning, ModelError
-from dashpot.law import bias_drift, creep_rate, hold_torque, static_R
-from dashpot.payload import Payload
-from dashpot.plant import HYSTERESIS, build
-from dashpot.robot import Robot
-from dashpot.sampled import VELOCITY_REF, empty_block
-from dashpot.simulate import Event, Scenario, run
-from dashpot.trajectory import Trajectory, hold
+from dashpot.simulation.simulate import Event, Scenario, run
+from dashpot.simulation.trajectory import Trajectory, hold
 
 DRIVE = {
     "rotor_inertia": 0.05,

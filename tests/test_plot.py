@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from dashpot.cli import main
 from dashpot.commands.plot_draw import draw_joint, draw_overview, lettered, thin
 from dashpot.errors import InputError
-from dashpot.logfiles.mcapwriter import McapWriter
-from dashpot.logfiles.messages import COLUMNS, SCALARS
-from dashpot.logfiles.samples import Happening, Samples, Series, read_samples
-from dashpot.recording import CHANNELS, Recording
+from dashpot.logs.mcapwriter import McapWriter
+from dashpot.logs.messages import COLUMNS, SCALARS
+from dashpot.logs.samples import Happening, Samples, Series, read_samples
+from dashpot.simulation.recording import CHANNELS, Recording
 
 MS = 1_000_000
 

@@ -11,14 +11,13 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from test_sampled import decades, feedback, laws, run, seeds
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.index import passivity_index
 from dashpot.certify.joint import sampled_joint
 from dashpot.certify.port import lift
-from dashpot.controller import Controller
-from dashpot.drive import Drive
-from dashpot.errors import InputError
-from dashpot.rivals import inertia_shaping_block, rotor_observer_block, static_feedback_block
-from dashpot.sampled import (
+from dashpot.control.controller import Controller
+from dashpot.control.rivals import inertia_shaping_block, rotor_observer_block, static_feedback_block
+from dashpot.control.sampled import (
     IN_EFFECT,
     NW,
     POSITION,
@@ -33,6 +32,7 @@ from dashpot.sampled import (
     pd_block,
     virtual_passive_block,
 )
+from dashpot.errors import InputError
 
 H = 1e-3
 WRIST = Drive("w", rotor_inertia=0.05, viscous_friction=0.6, stiffness=6e3, damping=0.7, torque_limit=40.0)

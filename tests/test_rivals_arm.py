@@ -8,20 +8,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
 from dashpot.cli import main
-from dashpot.controller import Controller, ControllerConfig, JointGains
+from dashpot.control.controller import Controller, ControllerConfig, JointGains
+from dashpot.control.laws import LAWS
+from dashpot.control.rivals.brakes import EncoderDamping, LatchedTorque, Off, RotorObserver, StaticFeedback
+from dashpot.control.rivals.tracking import (
+    PD,
+    PID,
+    DisturbanceObserver,
+    InertiaShaping,
+    PDGravity,
+    TorqueFeedback,
+)
 from dashpot.errors import InputError
-from dashpot.laws import LAWS
-from dashpot.payload import Payload
-from dashpot.plant import build
-from dashpot.release import release_events, tracking_events
-from dashpot.rivals.brakes import EncoderDamping, LatchedTorque, Off, RotorObserver, StaticFeedback
-from dashpot.rivals.gravity import gravity_reference, with_feedforward
-from dashpot.rivals.tracking import PD, PID, DisturbanceObserver, InertiaShaping, PDGravity, TorqueFeedback
-from dashpot.robot import Robot
-from dashpot.simulate import Scenario, run, simulate
+from dashpot.simulation.feedforward import gravity_reference, with_feedforward
+from dashpot.simulation.release import release_events, tracking_events
+from dashpot.simulation.simulate import Scenario, run, simulate
+from dashpot.simulation.trajectory import hold, multisine
 from dashpot.studies.laws import rows
-from dashpot.trajectory import hold, multisine
 
 H = 1e-3
 LOAD = Payload(2.0, 0.1)

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from dashpot.certify.certificate import certify_joint
-from dashpot.controller import load_controller
-from dashpot.recording import Recording
-from dashpot.rivals.tracking import PD
-from dashpot.simulate import Scenario, run
+from dashpot.control.controller import load_controller
+from dashpot.control.rivals.tracking import PD
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.simulate import Scenario, run
+from dashpot.simulation.trajectory import hold
 from dashpot.studies import rivals_arms as study
 from dashpot.studies import rivals_arms_cases as cases
 from dashpot.studies import rivals_arms_designed as designs
@@ -23,7 +24,6 @@ from dashpot.studies.rivals_arms_parts import Parts
 from dashpot.studies.rivals_arms_tables import document, draw
 from dashpot.studies.rivals_bench import BENCH
 from dashpot.studies.rivals_tuning import ENTRIES
-from dashpot.trajectory import hold
 
 DOCS = Path(__file__).parents[1] / "docs"
 K807, FR3, FAST, HEAVY = cases.ARMS

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.laws import LAWS
-from dashpot.rivals.tracking import PD, PDScaled
-from dashpot.simulate import run
+from dashpot.control.laws import LAWS
+from dashpot.control.rivals.tracking import PD, PDScaled
+from dashpot.simulation.simulate import run
 from dashpot.studies import rivals_tuning as study
 
 PD_ENTRY = next(entry for entry in study.ENTRIES if entry.law == "pd")

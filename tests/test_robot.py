@@ -7,9 +7,9 @@ import math
 
 import pytest
 
-from dashpot.drive import Drive
+from dashpot.arm.drive import Drive
+from dashpot.arm.robot import BUNDLED, Robot
 from dashpot.errors import InputError
-from dashpot.robot import BUNDLED, Robot
 
 DRIVE = {"name": "a", "rotor_inertia": 0.2, "viscous_friction": 0.5, "stiffness": 1e4, "torque_limit": 40.0}
 FILE = {

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from dashpot.control.rotor import Chain, rotation_about, rotor_terms
 from dashpot.errors import InputError
-from dashpot.rotor import Chain, rotation_about, rotor_terms
 
 JOINTS = 7
 

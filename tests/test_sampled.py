@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
-from dashpot.law import TorqueFeedbackLaw
-from dashpot.sampled import (
+from dashpot.control.law import TorqueFeedbackLaw
+from dashpot.control.sampled import (
     BLOCK_DTYPE,
     IN_EFFECT,
     NW,

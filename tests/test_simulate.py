@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from test_plant import one_joint, torque_source, vpc
 
-from dashpot.controller import Controller, ControllerConfig, JointGains
-from dashpot.drive import Servo
+from dashpot.arm.drive import Servo
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, ControllerConfig, JointGains
+from dashpot.control.sampled import POSITION_REF, empty_block
 from dashpot.errors import InputError
-from dashpot.payload import Payload
-from dashpot.plant import build
-from dashpot.recording import CHANNELS, Recording
-from dashpot.robot import Robot
-from dashpot.sampled import POSITION_REF, empty_block
-from dashpot.simulate import Event, Scenario, run, run_many, simulate
-from dashpot.trajectory import Trajectory, hold, multisine
+from dashpot.simulation.recording import CHANNELS, Recording
+from dashpot.simulation.simulate import Event, Scenario, run, run_many, simulate
+from dashpot.simulation.trajectory import Trajectory, hold, multisine
 
 WRIST = tuple(JointGains(f"joint{i}", R=5.0, D=3.0, K=0.5, kp=60.0, kd=4.0) for i in (5, 6, 7))
 CONFIG = ControllerConfig(WRIST, period=5e-3)

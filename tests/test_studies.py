@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-import dashpot.studies.fig5 as fig5
-import dashpot.studies.paper as paper
-from dashpot.controller import load_controller
+import dashpot.paper.fig5 as fig5
+import dashpot.paper.reproduction as paper
+from dashpot.control.controller import load_controller
 from dashpot.errors import InputError
-from dashpot.studies.instability import RESONANCE, arms, blocks_of, margins, search_high_gain
-from dashpot.studies.relations import judge
-from dashpot.studies.setup import setup
+from dashpot.paper.instability import RESONANCE, arms, blocks_of, margins, search_high_gain
+from dashpot.paper.relations import judge
+from dashpot.paper.setup import setup
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,11 @@ import time
 
 import pytest
 
+from dashpot.arm.robot import BUNDLED, Robot
 from dashpot.cli.simulate import Studio
 from dashpot.commands.studio import studio
-from dashpot.controller import load_controller
+from dashpot.control.controller import load_controller
 from dashpot.errors import DashpotError, InputError
-from dashpot.robot import BUNDLED, Robot
 from dashpot.studio.choices import CONTROLLER_OF, controller_of
 
 TELLS = "import sys; from dashpot.cli import main; main(sys.argv[1:])"

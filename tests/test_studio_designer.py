@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import pytest
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import certify_arm
-from dashpot.controller import load_controller
+from dashpot.control.controller import load_controller
 from dashpot.design.conflicts import Conflict, Shortfall
 from dashpot.design.design import Design, JointDesign, duties
 from dashpot.errors import DashpotError, InputError
-from dashpot.payload import Payload
-from dashpot.robot import Robot
 from dashpot.studio.designer import Designer, specification, taken_over
 
 LOAD = Payload(1.0, (0.0, 0.0, 0.1))

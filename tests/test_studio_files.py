@@ -11,10 +11,10 @@ import pytest
 
 pytest.importorskip("viser", reason="pip install 'dashpot[studio]'")
 
-from dashpot.controller import load_controller
+from dashpot.control.controller import load_controller
 from dashpot.errors import InputError
-from dashpot.logfiles import read_log
-from dashpot.recording import CHANNELS, Recording
+from dashpot.logs import read_log
+from dashpot.simulation.recording import CHANNELS, Recording
 from dashpot.studio.files import as_bytes, recording, replay_html, saved_controller, written_log
 from dashpot.studio.panels.record import FORMATS
 from dashpot.studio.session import Session

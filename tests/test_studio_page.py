@@ -12,9 +12,9 @@ import pytest
 
 pytest.importorskip("viser", reason="pip install 'dashpot[studio]'")
 
+from dashpot.arm.payload import Payload
 from dashpot.certify.certificate import STATEMENT
 from dashpot.errors import InputError
-from dashpot.payload import Payload
 from dashpot.studio import markup
 from dashpot.studio.charts import CHARTS, least_span
 from dashpot.studio.choices import HEAVIEST, POUND

@@ -8,14 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.controller import Controller, load_controller
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build, with_timestep
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, load_controller
+from dashpot.control.supervisor import SupervisorSettings
 from dashpot.errors import InputError
-from dashpot.faults import Fault
-from dashpot.payload import Payload
-from dashpot.plant import build, with_timestep
-from dashpot.recording import CHANNELS
-from dashpot.robot import Robot
-from dashpot.simulate import Event, PayloadChange, Scenario, run
+from dashpot.simulation.faults import Fault
+from dashpot.simulation.recording import CHANNELS
+from dashpot.simulation.simulate import Event, PayloadChange, Scenario, run
+from dashpot.simulation.trajectory import multisine
 from dashpot.studio.choices import RIVALS, rival_of
 from dashpot.studio.files import recording
 from dashpot.studio.live import LiveArm, equilibrium_state
@@ -23,8 +25,6 @@ from dashpot.studio.references import Hold, Move, Play, go_to, wander
 from dashpot.studio.ring import envelope
 from dashpot.studio.scenes import SCENES, play
 from dashpot.studio.session import Session
-from dashpot.supervisor import SupervisorSettings
-from dashpot.trajectory import multisine
 
 LOAD, HEAVY = Payload(1.0, (0.0, 0.0, 0.1)), Payload(2.0, (0.0, 0.0, 0.1))
 

@@ -16,19 +16,13 @@ from hypothesis import strategies as st
 from test_plant import one_joint, vpc
 
 from dashpot import _native
-from dashpot.controller import Controller, load_controller
-from dashpot.drive import Drive
-from dashpot.equilibrium import settle
-from dashpot.errors import InputError
-from dashpot.payload import Payload
-from dashpot.plant import build
-from dashpot.robot import Robot
-from dashpot.sampled import VirtualPassive, add_position_loop, pd_block, virtual_passive_block
-from dashpot.simulate import Scenario, run
-from dashpot.studies.fig6 import _resonance
-from dashpot.studies.setup import setup
-from dashpot.studies.supervision import _ARROW, draw, replay, transitions
-from dashpot.supervisor import (
+from dashpot.arm.drive import Drive
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, load_controller
+from dashpot.control.sampled import VirtualPassive, add_position_loop, pd_block, virtual_passive_block
+from dashpot.control.supervisor import (
     EVENTS,
     REASONS,
     STATES,
@@ -37,8 +31,14 @@ from dashpot.supervisor import (
     load_state,
     next_state,
 )
-from dashpot.thresholds import stand_of
-from dashpot.trajectory import Trajectory, hold, multisine
+from dashpot.control.thresholds import stand_of
+from dashpot.errors import InputError
+from dashpot.paper.fig6 import _resonance
+from dashpot.paper.setup import setup
+from dashpot.simulation.equilibrium import settle
+from dashpot.simulation.simulate import Scenario, run
+from dashpot.simulation.trajectory import Trajectory, hold, multisine
+from dashpot.studies.supervision import _ARROW, draw, replay, transitions
 
 NATIVE = Path(__file__).parent.parent / "native"
 H = 1e-3

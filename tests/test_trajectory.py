@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dashpot.errors import InputError
-from dashpot.trajectory import hold, multisine
+from dashpot.simulation.trajectory import hold, multisine
 
 POSE = [0.3, -0.2, 1.0]
 

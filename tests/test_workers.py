@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from dashpot.workers import remembered_interrupts
+from dashpot.support.workers import remembered_interrupts
 
 
 def test_an_interrupt_that_a_finaliser_swallows_is_not_lost(monkeypatch):

@@ -7,11 +7,11 @@ import tomllib
 import numpy as np
 import pytest
 
+from dashpot.arm.robot import Robot
 from dashpot.errors import InputError
 from dashpot.identify.estimate import DriveEstimate, Estimate, Fit
 from dashpot.identify.writeback import box, new_values, updated, write_back
-from dashpot.log import Log, Segment
-from dashpot.robot import Robot
+from dashpot.logs.log import Log, Segment
 
 ROBOT = """# An arm of two joints.
 name = "two"   # its name

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dashpot.errors import InputError
-from dashpot.tables import as_float, check_keys
+from dashpot.support.tables import as_float, check_keys
 
 GAINS = ("R", "D", "K", "kp", "kd")
 """Gains that can be multiplied."""

@@ -14,7 +14,7 @@ from typing import Any
 from dashpot.campaign.scenario import Campaign
 from dashpot.campaign.store import Block, Store, run_chunk
 from dashpot.errors import DashpotError, InputError
-from dashpot.workers import cores, deaf_to_interrupts, pool_of
+from dashpot.support.workers import cores, deaf_to_interrupts, pool_of
 
 AHEAD = 2  # chunks per worker that wait for it
 CONNECT = 15  # [s] to reach a scheduler
@@ -70,7 +70,7 @@ def chunk_of(campaign: Campaign, chunk: int) -> Block:
 def _prepare() -> None:
     from threadpoolctl import threadpool_limits
 
-    from dashpot.engine import quiet_engine
+    from dashpot.simulation.engine import quiet_engine
 
     threadpool_limits(1, user_api="blas")  # every core has a scenario of its own
     gc.freeze()  # modules stay; looking through them again and again takes a fiftieth of the time

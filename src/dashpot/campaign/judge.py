@@ -13,7 +13,7 @@ from scipy.special import betaincinv
 from dashpot.campaign.requirements import Requirement
 from dashpot.campaign.scenario import OK
 from dashpot.campaign.spec import Spec
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 WORST = 3  # scenarios named per requirement
 ASSURED = 0.95  # confidence of the assured share

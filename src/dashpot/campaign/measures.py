@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dashpot._native as _native
-from dashpot.controller import NOT_FINITE, RATE_LIMITED, TORQUE_LIMITED
-from dashpot.faults import BRAKE_DELAY
-from dashpot.recording import Recording
-from dashpot.sampled import Floats
-from dashpot.supervisor import STATES
-from dashpot.vibration import CORNER, WINDOW
+from dashpot.control.controller import NOT_FINITE, RATE_LIMITED, TORQUE_LIMITED
+from dashpot.control.supervisor import STATES
+from dashpot.simulation.faults import BRAKE_DELAY
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.vibration import CORNER, WINDOW
+from dashpot.support.arrays import Floats
 
 NOISE_CORNER = 30.0  # [Hz] commanded torque above it is noise, not motion
 SLOWED = 0.05  # of the speed at the event: a joint that has stopped

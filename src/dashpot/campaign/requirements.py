@@ -9,7 +9,7 @@ from typing import Any
 
 from dashpot.campaign.measures import MEASURES
 from dashpot.errors import InputError
-from dashpot.tables import as_float, check_keys
+from dashpot.support.tables import as_float, check_keys
 
 DEGREES = "_deg"
 KEYS = {"min", "max", "in", "quantile", "joint", "where"}

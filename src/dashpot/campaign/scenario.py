@@ -16,26 +16,26 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import Plant, build
+from dashpot.arm.robot import Robot
 from dashpot.campaign.axes import ADDED, NO_FAULT
 from dashpot.campaign.measures import measure
 from dashpot.campaign.script import Script
 from dashpot.campaign.spec import Spec
-from dashpot.controller import Controller, ControllerConfig, load_controller
+from dashpot.certify.testbench import tap
+from dashpot.control.controller import Controller, ControllerConfig, load_controller
+from dashpot.control.supervisorsettings import SupervisorSettings
 from dashpot.errors import InputError
-from dashpot.motionfile import read_motion
-from dashpot.payload import Payload
-from dashpot.plant import Plant, build
-from dashpot.prepare import check
-from dashpot.recording import Recording
-from dashpot.release import release_events, tracking_events
-from dashpot.remember import Remembered
-from dashpot.rivals.gravity import with_feedforward
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
-from dashpot.simulate import Scenario
-from dashpot.supervisorsettings import SupervisorSettings
-from dashpot.testbench import tap
-from dashpot.trajectory import Trajectory, hold, multisine
+from dashpot.logs.motionfile import read_motion
+from dashpot.simulation.feedforward import with_feedforward
+from dashpot.simulation.prepare import check
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.release import release_events, tracking_events
+from dashpot.simulation.remember import Remembered
+from dashpot.simulation.simulate import Scenario
+from dashpot.simulation.trajectory import Trajectory, hold, multisine
+from dashpot.support.arrays import Floats
 
 DURATION = 6.0  # [s], as of `dashpot simulate`
 MAX_TICKS = 1_000_000  # of one recording: about 1 GB of memory for seven joints

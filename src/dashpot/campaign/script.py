@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from dashpot.controller import ControllerConfig
+from dashpot.arm.payload import Payload
+from dashpot.control.controller import ControllerConfig
 from dashpot.errors import InputError
-from dashpot.faults import Fault
-from dashpot.payload import Payload
-from dashpot.simulate import PayloadChange
-from dashpot.tables import as_float, check_keys
+from dashpot.simulation.faults import Fault
+from dashpot.simulation.simulate import PayloadChange
+from dashpot.support.tables import as_float, check_keys
 
 PLACES = ("first", "middle", "last")
 """Names that mean a joint of whatever the controller controls, from base to tip."""

@@ -16,10 +16,10 @@ import numpy as np
 
 from dashpot.campaign.axes import NO_FAULT, Axis, distinct, parse_axes
 from dashpot.campaign.requirements import Requirement, parse_requirements
+from dashpot.control.supervisorsettings import SupervisorSettings
 from dashpot.errors import InputError
-from dashpot.sampled import Floats
-from dashpot.supervisorsettings import SupervisorSettings
-from dashpot.tables import as_float, check_keys, check_numbers, number
+from dashpot.support.arrays import Floats
+from dashpot.support.tables import as_float, check_keys, check_numbers, number
 
 PRESETS = ("readiness",)
 SAMPLES = ("latin_hypercube", "sobol")

@@ -11,8 +11,8 @@ import numpy as np
 from dashpot.campaign.scenario import DIVERGED, FAILED, OK, Campaign, Setting
 from dashpot.errors import DashpotError
 from dashpot.lanes.run import LaneRun, launch, unfit
-from dashpot.recording import CHANNELS, Recording
-from dashpot.simulate import Scenario, run
+from dashpot.simulation.recording import CHANNELS, Recording
+from dashpot.simulation.simulate import Scenario, run
 
 TOGETHER = 128  # scenarios, unless their recordings are long: those of another time step find company, too
 MEMORY = 200e6  # [B] of the recordings that are held at a time

@@ -31,13 +31,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.exact import holds
 from dashpot.certify.index import Index, passivity_index
 from dashpot.certify.joint import Scales, holds_torque, sampled_joint, uses
 from dashpot.certify.shadow import with_shadow
 from dashpot.certify.threads import one_thread
-from dashpot.drive import Drive
-from dashpot.sampled import POSITION, VELOCITY
+from dashpot.control.sampled import POSITION, VELOCITY
 
 MOST_CELLS = 128
 NARROW = 1e-3  # relative half-width below which cutting further proves nothing more
@@ -147,7 +147,7 @@ def certify_box(
 
     Args:
         drive: The drive with `uncertainty` and `torque_gain_error`.
-        block: A record of `dashpot.sampled.BLOCK_DTYPE`.
+        block: A record of `dashpot.control.sampled.BLOCK_DTYPE`.
         sampling: "average" or "point".
         period: [s].
         latency_max: Longest latency [samples]; None: that of the block.

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dashpot.arm.drive import Drive
+from dashpot.arm.robot import Robot
 from dashpot.certify.box import POINTS, BoxCertificate, at, certify_box
 from dashpot.certify.counterexample import Counterexample, counterexample
 from dashpot.certify.index import Index, passivity_index
 from dashpot.certify.joint import holds_torque, sampled_joint, uses
 from dashpot.certify.threads import one_thread
-from dashpot.controller import SLIGHT, ControllerConfig, Law, joint_block
-from dashpot.drive import Drive
+from dashpot.control.controller import SLIGHT, ControllerConfig, Law, joint_block
+from dashpot.control.sampled import POSITION, VELOCITY, empty_block, without_encoder
 from dashpot.errors import InputError, InputWarning
-from dashpot.robot import Robot
-from dashpot.sampled import POSITION, VELOCITY, empty_block, without_encoder
 
 DOCUMENT = "docs/certificate.md"
 ASSUMED = "Assumed: constant references, torques below their limits, linear drives within the stated box."

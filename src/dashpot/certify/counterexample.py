@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.joint import SPEED, SampledJoint
 from dashpot.certify.loads import GROWS, Load, loops, oscillation, radii
 from dashpot.certify.threads import one_thread
-from dashpot.drive import Drive
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 INERTIAS = (  # of the rotor's, 9 % apart, narrower than known windows; far-fetched ones last
     np.geomspace(1e-2, 1e3, 134),

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dashpot.controller import ControllerConfig
-from dashpot.drive import Drive
-from dashpot.sampled import BLOCK_DTYPE
+from dashpot.arm.drive import Drive
+from dashpot.control.controller import ControllerConfig
+from dashpot.control.sampled import BLOCK_DTYPE
 
 JUDGED = (
     "rotor_inertia",

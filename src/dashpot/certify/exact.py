@@ -25,7 +25,7 @@ from scipy.linalg import expm
 from scipy.linalg.lapack import dgeev, dgesv, dggev
 
 from dashpot.certify.joint import DEFLECTION, SPEED, SampledJoint, scaled
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 CIRCLE = 1e-6  # distance from the unit circle within which an eigenvalue may lie on it
 SHORT = 1.2  # fastest eigenvalue times the first step: below pi/2 there is no conjugate point in it

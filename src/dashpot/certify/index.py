@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.exact import Rest, at_rest, crossings, positive, quadratic_form, unfit
 from dashpot.certify.joint import SampledJoint, Scales, holds_torque, sampled_joint
 from dashpot.certify.port import Port, lift, without_equilibria
 from dashpot.certify.threads import one_thread
-from dashpot.drive import Drive
-from dashpot.sampled import Floats, empty_block
+from dashpot.control.sampled import empty_block
+from dashpot.support.arrays import Floats
 
 COARSE_INTERVALS, FIRST_INTERVALS, MOST_INTERVALS = 4, 8, 64
 SETTLED = 0.01  # relative difference between N intervals and the limit at which N is enough
@@ -82,7 +83,7 @@ def passivity_index(
 
     Args:
         drive: The joint's drive.
-        block: Its controller, a record of `dashpot.sampled.BLOCK_DTYPE`.
+        block: Its controller, a record of `dashpot.control.sampled.BLOCK_DTYPE`.
         sampling: "average" or "point".
         period: [s].
         scales: Departures of the signal path from nominal.

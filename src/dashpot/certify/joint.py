@@ -17,9 +17,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dashpot.drive import Drive
+from dashpot.arm.drive import Drive
+from dashpot.control.sampled import IN_EFFECT, NW, POSITION, TORQUE, VELOCITY
 from dashpot.errors import InputError
-from dashpot.sampled import IN_EFFECT, NW, POSITION, TORQUE, VELOCITY, Floats
+from dashpot.support.arrays import Floats
 
 DEFLECTION, SPEED = 0, 1
 WHOLE = 1e-6  # samples: how far from a whole number a sensor's latency may be
@@ -121,7 +122,7 @@ def sampled_joint(
 
     Args:
         drive: The joint's drive.
-        block: A record of `dashpot.sampled.BLOCK_DTYPE`.
+        block: A record of `dashpot.control.sampled.BLOCK_DTYPE`.
         sampling: "average" or "point".
         period: [s].
         scales: Departures from nominal.

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 from dashpot.certify.joint import SampledJoint
 from dashpot.certify.threads import one_thread
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 GRAVITY = 9.81
 GROWS = 1e-9  # modulus above 1 that counts as growing

@@ -20,22 +20,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.exact import at_rest, unfit
 from dashpot.certify.joint import SampledJoint, Scales, sampled_joint, scaled
 from dashpot.certify.loads import GROWS, loops, radii
 from dashpot.certify.port import one_period
 from dashpot.certify.threads import one_thread
-from dashpot.drive import Drive
-from dashpot.sampled import (
+from dashpot.control.sampled import (
     BLOCK_DTYPE,
     IN_EFFECT,
     POSITION,
     TORQUE,
     VELOCITY,
-    Floats,
     add_position_loop,
     empty_block,
 )
+from dashpot.support.arrays import Floats
 
 INTERVALS = 32
 ANGLES = np.concatenate([np.geomspace(1e-4, 0.1, 28), np.linspace(0.11, np.pi, 84)])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from dashpot.certify.joint import SampledJoint, scaled
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 
 @dataclass(frozen=True)

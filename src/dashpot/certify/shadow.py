@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.exact import Loss
 from dashpot.certify.joint import DEFLECTION, SPEED, SampledJoint
-from dashpot.drive import Drive
 
 
 def with_shadow(

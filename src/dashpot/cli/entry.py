@@ -105,8 +105,7 @@ def _leave_if_running(status: int) -> None:
     """Ends the process at once where the native loop still runs, under which no memory may be freed, or where
     a pool of processes does not end.
     """
-    from dashpot.commands import NATIVE_LOOP
-    from dashpot.workers import is_manager
+    from dashpot.support.workers import NATIVE_LOOP, is_manager
 
     if any(thread.name == NATIVE_LOOP or is_manager(thread) for thread in threading.enumerate()):
         sys.stdout.flush()

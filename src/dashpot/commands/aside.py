@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
-from dashpot.commands import NATIVE_LOOP
+from dashpot.support.workers import NATIVE_LOOP
 
 Result = TypeVar("Result")
 

@@ -21,11 +21,11 @@ from dashpot.commands.aside import run_aside
 from dashpot.commands.campaign_view import progress_bar, show_plan, show_replay, show_results, show_supervisor
 from dashpot.commands.shared import check_place
 from dashpot.commands.simulate_view import draw, show
-from dashpot.engine import quiet_engine
 from dashpot.errors import DashpotError, InputError
-from dashpot.output import whole_folder
-from dashpot.plots import save
-from dashpot.workers import remembered_interrupts
+from dashpot.simulation.engine import quiet_engine
+from dashpot.support.output import whole_folder
+from dashpot.support.plots import save
+from dashpot.support.workers import remembered_interrupts
 
 if TYPE_CHECKING:
     from dashpot.cli.simulate import Campaign as Options

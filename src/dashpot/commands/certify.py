@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.console import Console
 
+from dashpot.arm.drive import Drive
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import Certificate, JointCertificate, block_of, certify_joint, paired
 from dashpot.certify.digest import digest
+from dashpot.certify.testbench import hidden, write
 from dashpot.commands.shared import file_names, progress
-from dashpot.controller import ControllerConfig, JointGains, Law, gains_of, load_controller
-from dashpot.drive import Drive
+from dashpot.control.controller import ControllerConfig, JointGains, Law, gains_of, load_controller
 from dashpot.errors import InputError
-from dashpot.output import whole_folder
-from dashpot.robot import Robot
-from dashpot.testbench import hidden, write
+from dashpot.support.output import whole_folder
 
 if TYPE_CHECKING:
     from dashpot.cli.design import Certify, Map
@@ -59,8 +59,8 @@ def certify(options: Certify) -> int:
 
 def map_gains(options: Map) -> int:
     """``dashpot map``: the picture of a certificate alone, finer."""
-    from dashpot.commands.certify_plots import draw_map, gain_map
-    from dashpot.plots import save
+    from dashpot.certify.plots import draw_map, gain_map
+    from dashpot.support.plots import save
 
     robot, config = Robot.load(options.robot), load_controller(options.controller)
     if not 2 <= options.points <= MOST_POINTS:
@@ -103,8 +103,8 @@ def map_gains(options: Map) -> int:
 
 def _keep(place: Path, joint: JointCertificate, drive: Drive, gains: Law, config: ControllerConfig) -> None:
     """Writes a joint's picture and the bench on which its counter-example runs."""
-    from dashpot.commands.certify_plots import draw
-    from dashpot.plots import save
+    from dashpot.certify.plots import draw
+    from dashpot.support.plots import save
 
     save(draw(joint, drive, gains, config, POINTS), place)
     load = joint.counterexample

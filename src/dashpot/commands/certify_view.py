@@ -11,12 +11,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.box import DRIVE
 from dashpot.certify.certificate import DOCUMENT, STATEMENT, Certificate, JointCertificate
+from dashpot.certify.testbench import hidden, suggested_tap
 from dashpot.commands.shared import file_names, new_table
-from dashpot.controller import Law
-from dashpot.drive import Drive
-from dashpot.testbench import hidden, suggested_tap
+from dashpot.control.controller import Law
 
 if TYPE_CHECKING:
     from dashpot.cli.design import Certify

@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import dashpot
+from dashpot.arm.robot import Robot
 from dashpot.commands.shared import check_place, file_names, progress
 from dashpot.design.conflicts import Conflict
 from dashpot.design.design import Design, JointDesign, design_joint, duties
 from dashpot.design.spec import WISHES, Spec
 from dashpot.design.wishes import Wishes
 from dashpot.errors import InputError, InputWarning
-from dashpot.output import whole_folder
-from dashpot.robot import Robot
-from dashpot.workers import cores, each
+from dashpot.support.output import whole_folder
+from dashpot.support.workers import cores, each
 
 if TYPE_CHECKING:
     from dashpot.cli.design import Design as Options
@@ -107,7 +107,7 @@ def _design_and_draw(task: Task) -> JointDesign:
     result = design_joint(duty, wishes, loop)
     if result.found is not None:
         from dashpot.commands.design_plots import draw
-        from dashpot.plots import save
+        from dashpot.support.plots import save
 
         save(draw(result), place, pdf=False)
     return result

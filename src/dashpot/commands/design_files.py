@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import dashpot
-from dashpot.commands.design_quantities import QUANTITIES, binding_text, significant
 from dashpot.design.design import Design, JointDesign
+from dashpot.design.quantities import GAINS, QUANTITIES, binding_text, significant
 from dashpot.design.wishes import LIMITS, UNITS
+from dashpot.support.tables import toml_value
 
 if TYPE_CHECKING:
     from dashpot.cli.design import Design as Options
     from dashpot.design.candidates import Duty
 
-GAINS = {"R": "-", "D": "N m s/rad", "K": "N m/rad", "kp": "N m/rad", "kd": "N m s/rad"}
 UNIT_OF = {
     "payload": "kg",
     "offset": "m, in the flange frame",
@@ -41,12 +40,12 @@ def controller_toml(result: Design, options: Options) -> str:
     ]
     lines = [*(_comment(line) for line in head), ""]
     lines += [
-        f"period = {value(config.period)}  # s",
+        f"period = {toml_value(config.period)}  # s",
         f"latency = {config.latency}  # whole samples",
     ]
     if config.latency_max is not None:
         lines.append(f"latency_max = {config.latency_max}")
-    lines += [f"sampling = {value(config.sampling)}", f"form = {value(config.form)}"]
+    lines += [f"sampling = {toml_value(config.sampling)}", f"form = {toml_value(config.form)}"]
     for joint in result.joints:
         lines += ["", *_joint_comments(joint), *_gains(joint)]
     return "\n".join(lines) + "\n"
@@ -55,8 +54,8 @@ def controller_toml(result: Design, options: Options) -> str:
 def _gains(joint: JointDesign) -> list[str]:
     assert joint.found is not None
     gains = joint.found.gains.joint(joint.name)
-    lines = ["[[joint]]", f"name = {value(joint.name)}"]
-    return lines + [f"{name} = {value(getattr(gains, name))}  # {unit}" for name, unit in GAINS.items()]
+    lines = ["[[joint]]", f"name = {toml_value(joint.name)}"]
+    return lines + [f"{name} = {toml_value(getattr(gains, name))}  # {unit}" for name, unit in GAINS.items()]
 
 
 def _joint_comments(joint: JointDesign) -> list[str]:
@@ -107,10 +106,10 @@ def spec_toml(result: Design, needed: Sequence[Duty]) -> str:
     lines = [
         _comment(f"What was asked of {result.robot}, every value in full (dashpot {dashpot.__version__})."),
         "",
-        f"preset = {value(spec.preset)}",
-        f"joints = {value([duty.drive.name for duty in needed])}",
-        f"minimise = {value(every.minimise)}",
-        f"beside = {value(dict(every.beside))}  # weights of what else counts",
+        f"preset = {toml_value(spec.preset)}",
+        f"joints = {toml_value([duty.drive.name for duty in needed])}",
+        f"minimise = {toml_value(every.minimise)}",
+        f"beside = {toml_value(dict(every.beside))}  # weights of what else counts",
     ]
     lines += [_setting(name, getattr(every, name)) for name in (*LIMITS, "margin")]
     lines.append("")
@@ -124,7 +123,7 @@ def spec_toml(result: Design, needed: Sequence[Duty]) -> str:
         own = spec.own.get(duty.drive.name, {})
         lines += ["", _comment(f"{duty.drive.name} carries {_carries(duty)}")]
         if own:
-            lines += ["[[joint]]", f"name = {value(duty.drive.name)}"]
+            lines += ["[[joint]]", f"name = {toml_value(duty.drive.name)}"]
             lines += [_setting(name, item) for name, item in own.items()]
     return "\n".join(lines) + "\n"
 
@@ -134,21 +133,7 @@ def _setting(name: str, item: Any) -> str:
     if item is None:
         return _comment(f"{name}: no limit [{unit}]")
     note = f"  # {unit}" if unit and unit != "-" else ""
-    return f"{name} = {value(item)}{note}"
-
-
-def value(item: Any) -> str:
-    """A TOML value."""
-    if isinstance(item, bool):
-        return str(item).lower()
-    if isinstance(item, str):
-        return json.dumps(item, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(item, Mapping):
-        inner = ", ".join(f"{key} = {value(number)}" for key, number in item.items())
-        return f"{{ {inner} }}" if inner else "{}"
-    if isinstance(item, list | tuple):
-        return f"[{', '.join(value(part) for part in item)}]"
-    return repr(item) if isinstance(item, int) else repr(float(item))
+    return f"{name} = {toml_value(item)}{note}"
 
 
 def _comment(text: str) -> str:

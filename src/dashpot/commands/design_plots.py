@@ -10,15 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dashpot.certify.threads import one_thread
-from dashpot.commands.design_quantities import QUANTITIES, binding_text, significant
+from dashpot.control.sampled import BLOCK_DTYPE, TORQUE, empty_block
 from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Gains
 from dashpot.design.design import JointDesign
 from dashpot.design.motion import move
 from dashpot.design.prover import Prover
+from dashpot.design.quantities import QUANTITIES, binding_text, significant
 from dashpot.design.wishes import AT_LEAST
-from dashpot.plots import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION, Figure, new_figure
-from dashpot.sampled import BLOCK_DTYPE, TORQUE, Floats, empty_block
+from dashpot.support.arrays import Floats
+from dashpot.support.plots import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION, Figure, new_figure
 
 LABEL, LINE = 34.0, 13.5  # [points] below an axis for its labels, and for a line of its legend
 ORANGE, SKY = "#E69F00", "#56B4E9"

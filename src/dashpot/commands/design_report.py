@@ -7,12 +7,11 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dashpot.commands.design_files import GAINS
-from dashpot.commands.design_quantities import QUANTITIES, binding_text, in_si, predicted_text, significant
-from dashpot.commands.design_words import assumptions, conflict_lines, sinking
 from dashpot.design.design import Design, JointDesign
+from dashpot.design.quantities import GAINS, QUANTITIES, binding_text, in_si, predicted_text, significant
 from dashpot.design.wishes import AT_LEAST
-from dashpot.report import image, page, table
+from dashpot.design.words import assumptions, conflict_lines, sinking
+from dashpot.support.report import image, page, table
 
 if TYPE_CHECKING:
     from dashpot.cli.design import Design as Options

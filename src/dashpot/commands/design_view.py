@@ -9,17 +9,17 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from dashpot.commands.design_files import GAINS
-from dashpot.commands.design_quantities import (
+from dashpot.arm.robot import Robot
+from dashpot.commands.shared import new_table
+from dashpot.design.design import Design, JointDesign
+from dashpot.design.quantities import (
+    GAINS,
     QUANTITIES,
     binding_text,
     predicted_text,
     significant,
 )
-from dashpot.commands.design_words import assumptions, conflict_lines, sinking
-from dashpot.commands.shared import new_table
-from dashpot.design.design import Design, JointDesign
-from dashpot.robot import Robot
+from dashpot.design.words import assumptions, conflict_lines, sinking
 
 if TYPE_CHECKING:
     from dashpot.cli.design import Design as Options

@@ -94,7 +94,7 @@ def core() -> Iterator[Finding]:
     yield Finding("core", "Python", "ok", system)
     try:
         import dashpot._native as native
-        from dashpot.workers import cores
+        from dashpot.support.workers import cores
     except ImportError as error:
         advice = "pip install --force-reinstall dashpot"
         yield Finding("core", "native library", "broken", str(error), advice)

@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.robot import Robot
 from dashpot.commands.excite_view import draw, show
 from dashpot.commands.shared import payload_offset
-from dashpot.controller import load_controller
-from dashpot.engine import quiet_engine
+from dashpot.control.controller import load_controller
 from dashpot.errors import InputError
 from dashpot.excite import Limits
 from dashpot.excite import excite as search
-from dashpot.motionfile import write_motion
-from dashpot.output import whole_folder
-from dashpot.payload import Payload
-from dashpot.plots import save
-from dashpot.robot import Robot
+from dashpot.logs.motionfile import write_motion
+from dashpot.simulation.engine import quiet_engine
+from dashpot.support.output import whole_folder
+from dashpot.support.plots import save
 
 if TYPE_CHECKING:
     from dashpot.cli.identify import Excite

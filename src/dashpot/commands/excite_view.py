@@ -12,7 +12,7 @@ from rich.padding import Padding
 from dashpot.commands.shared import new_table
 from dashpot.excite import Excitation, JointMotion, Limits
 from dashpot.excite.promise import CERTAIN_SCALE
-from dashpot.plots import BLACK, BLUE, GREEN, GREY, VERMILLION, Figure, new_figure
+from dashpot.support.plots import BLACK, BLUE, GREEN, GREY, VERMILLION, Figure, new_figure
 
 if TYPE_CHECKING:
     from dashpot.cli.identify import Excite

@@ -9,16 +9,16 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import Certificate, certify_joint, paired
 from dashpot.commands.shared import check_place, progress
-from dashpot.controller import Controller, ControllerConfig, load_controller
+from dashpot.control.controller import Controller, ControllerConfig, load_controller
 from dashpot.export.c import Export as Exported
 from dashpot.export.compiler import compiler
 from dashpot.export.fmu import write_fmu
 from dashpot.export.names import c_name
 from dashpot.export.summary import verdict
-from dashpot.output import whole_folder
-from dashpot.robot import Robot
+from dashpot.support.output import whole_folder
 
 if TYPE_CHECKING:
     from dashpot.cli.deploy import Export
@@ -61,8 +61,8 @@ def _ranges(robot: Robot, config: ControllerConfig) -> dict[str, tuple[float, fl
     """The joints' ranges where the robot has a model; the supervisor checks encoders against them."""
     if robot.model is None:
         return None
-    from dashpot.plant import build
-    from dashpot.prepare import encoder_ranges
+    from dashpot.arm.plant import build
+    from dashpot.simulation.prepare import encoder_ranges
 
     return encoder_ranges(build(robot, config.period))
 

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.markup import escape
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.robot import Robot
 from dashpot.commands.shared import bare_table, payload_offset
 from dashpot.commands.simulate_faults import read_changes, read_faults
-from dashpot.engine import quiet_engine
 from dashpot.errors import InputError
 from dashpot.hardware.franka_server.arm import Arm
 from dashpot.hardware.franka_server.limits import FR3
 from dashpot.hardware.franka_server.server import Server
-from dashpot.payload import Payload
-from dashpot.robot import Robot
+from dashpot.simulation.engine import quiet_engine
 
 if TYPE_CHECKING:
     from dashpot.cli.deploy import FrankaServer

@@ -8,15 +8,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dashpot.arm.robot import Robot
 from dashpot.certify.threads import one_thread
 from dashpot.commands.shared import check_place, file_names, progress
 from dashpot.errors import InputError
 from dashpot.identify import DriveEstimate, identify_joint
 from dashpot.identify.writeback import CONFIDENCE, bundled, too_wide, write_back
-from dashpot.log import Log
-from dashpot.logfiles import Topics, read_log
-from dashpot.output import whole_folder
-from dashpot.robot import Robot
+from dashpot.logs import Topics, read_log
+from dashpot.logs.log import Log
+from dashpot.support.output import whole_folder
 
 if TYPE_CHECKING:
     from dashpot.cli.identify import Identify
@@ -107,7 +107,7 @@ def _draw(
     advance: Callable[[], None],
 ) -> None:
     from dashpot.commands.identify_plots import draw
-    from dashpot.plots import save
+    from dashpot.support.plots import save
 
     names = file_names([estimate.joint for estimate in estimates])
     for estimate in estimates:

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from dashpot.arm.drive import Drive
 from dashpot.commands.identify_view import NAMES, digits, old_value
-from dashpot.drive import Drive
 from dashpot.identify import DriveEstimate, Fit
-from dashpot.log import Log
-from dashpot.plots import BLACK, BLUE, GREY, VERMILLION, Figure, new_figure
+from dashpot.logs.log import Log
+from dashpot.support.plots import BLACK, BLUE, GREY, VERMILLION, Figure, new_figure
 
 STRETCH = 6.0  # [s] shown
 WIDEST = 60.0  # [%] beyond which an old value is an arrow at the edge

@@ -12,13 +12,13 @@ from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 
+from dashpot.arm.drive import Drive
+from dashpot.arm.robot import Robot
 from dashpot.commands.identify import lacking
 from dashpot.commands.shared import file_names, new_table
-from dashpot.drive import Drive
 from dashpot.identify import DriveEstimate, Estimate
 from dashpot.identify.writeback import too_wide
-from dashpot.log import Log
-from dashpot.robot import Robot
+from dashpot.logs.log import Log
 
 if TYPE_CHECKING:
     from dashpot.cli.identify import Identify

@@ -10,11 +10,11 @@ from rich.markup import escape
 
 from dashpot.commands.plot_draw import draw_joint, draw_overview, error_of, lettered
 from dashpot.commands.shared import bare_table, check_place, file_names, new_table
-from dashpot.logfiles import Topics
-from dashpot.logfiles.samples import Samples, read_samples
-from dashpot.output import whole_folder
-from dashpot.plots import save
-from dashpot.sampled import Floats
+from dashpot.logs import Topics
+from dashpot.logs.samples import Samples, read_samples
+from dashpot.support.arrays import Floats
+from dashpot.support.output import whole_folder
+from dashpot.support.plots import save
 
 if TYPE_CHECKING:
     from dashpot.cli.identify import Plot

@@ -14,9 +14,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from dashpot.logfiles.messages import Level
-from dashpot.logfiles.samples import Samples, Series
-from dashpot.plots import (
+from dashpot.control.supervisor import STATES
+from dashpot.logs.messages import Level
+from dashpot.logs.samples import Samples, Series
+from dashpot.support.arrays import Floats
+from dashpot.support.plots import (
     BLACK,
     BLUE,
     GREEN,
@@ -28,8 +30,6 @@ from dashpot.plots import (
     Figure,
     new_figure,
 )
-from dashpot.sampled import Floats
-from dashpot.supervisor import STATES
 
 DEGREES = 180 / math.pi
 POINTS = 3000  # drawn of a line: the largest and smallest of every stretch

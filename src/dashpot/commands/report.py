@@ -22,7 +22,7 @@ from dashpot.commands.campaign import needs_campaign_extra, replay_command
 from dashpot.commands.campaign_view import amount, axis_words, case_words, show_results
 from dashpot.commands.report_plots import Picture, pictures
 from dashpot.errors import InputError
-from dashpot.report import facts, image, page, table
+from dashpot.support.report import facts, image, page, table
 
 if TYPE_CHECKING:
     from dashpot.cli.simulate import Report

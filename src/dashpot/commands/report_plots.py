@@ -15,8 +15,8 @@ from matplotlib.ticker import FuncFormatter
 from dashpot.campaign.axes import Axis
 from dashpot.campaign.scenario import OK
 from dashpot.campaign.spec import Spec
-from dashpot.plots import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION, new_figure, save
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
+from dashpot.support.plots import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION, new_figure, save
 
 BINS = 8  # of a sampled payload
 ROWS, CELLS = 60, 24  # rows and columns of a matrix at most

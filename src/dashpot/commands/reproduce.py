@@ -13,9 +13,9 @@ from rich.table import Table
 from dashpot.errors import InputError
 
 if TYPE_CHECKING:
-    from dashpot.studies.relations import Relation
+    from dashpot.paper.relations import Relation
 
-from dashpot.engine import quiet_engine
+from dashpot.simulation.engine import quiet_engine
 
 FIGURES = {
     "fig4": "Fig. 4: tracking",
@@ -26,7 +26,7 @@ FIGURES = {
 
 def reproduce(out: Path, seeds: int, threads: int | None) -> int:
     """``dashpot reproduce``; returns the exit status: 1 if a relation fails."""
-    from dashpot.studies.paper import reproduce as run_study
+    from dashpot.paper.reproduction import reproduce as run_study
 
     if threads is not None and threads < 1:
         raise InputError("must be at least 1", quantity="--threads", value=threads)

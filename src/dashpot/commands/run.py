@@ -15,12 +15,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dashpot.arm.drive import Drive
+from dashpot.arm.payload import Payload
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import Certificate, certify_joint, paired
 from dashpot.commands.run_view import show_checks, show_measures, show_outcome
 from dashpot.commands.shared import payload_offset, progress
-from dashpot.controller import Controller, ControllerConfig, load_controller
-from dashpot.drive import Drive
-from dashpot.engine import quiet_engine
+from dashpot.control.controller import Controller, ControllerConfig, load_controller
+from dashpot.control.rivals.tracking import PDGravity
+from dashpot.control.supervisor import Supervisor
 from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.checks import Verdicts, at_rest, before_link, listen
 from dashpot.hardware.interface import Hardware, carries_weight
@@ -28,20 +31,17 @@ from dashpot.hardware.realtime import undisturbed
 from dashpot.hardware.ring import Ring
 from dashpot.hardware.runtime import LoopSettings, Outcome, Start, control, joint_order, said
 from dashpot.hardware.scribe import Notes, scribe
-from dashpot.motionfile import read_motion
-from dashpot.payload import Payload
-from dashpot.release import tracking_events
-from dashpot.rivals.gravity import with_feedforward
-from dashpot.rivals.tracking import PDGravity
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
-from dashpot.simulate import Scenario
-from dashpot.supervisor import Supervisor
-from dashpot.trajectory import Trajectory, hold
+from dashpot.logs.motionfile import read_motion
+from dashpot.simulation.engine import quiet_engine
+from dashpot.simulation.feedforward import with_feedforward
+from dashpot.simulation.release import tracking_events
+from dashpot.simulation.simulate import Scenario
+from dashpot.simulation.trajectory import Trajectory, hold
+from dashpot.support.arrays import Floats
 
 if TYPE_CHECKING:
+    from dashpot.arm.plant import Plant
     from dashpot.cli.deploy import Run
-    from dashpot.plant import Plant
 
 SIMULATED = 10.0  # [s] that a simulated arm is held where nobody says
 LONGEST = 600.0  # [s] of a simulated run: its whole motion is in memory
@@ -138,7 +138,7 @@ def run(options: Run) -> int:
 
 def _load(job: Job, plant: Plant, hardware: Hardware, where: Floats) -> Floats:
     """Torque of gravity that the sensors show at a pose (n,) [rad], per controlled joint [N m]."""
-    from dashpot.plant import build
+    from dashpot.arm.plant import build
 
     load = plant.load_torque(where)
     if carries_weight(hardware):
@@ -243,8 +243,8 @@ def _prepare(options: Run) -> Job:
     drives = tuple(robot.drives[robot.index(name)] for name in controller.joints)
     plant, ranges = None, {}
     if robot.model is not None or options.via == "sim":
-        from dashpot.plant import build
-        from dashpot.prepare import encoder_ranges
+        from dashpot.arm.plant import build
+        from dashpot.simulation.prepare import encoder_ranges
 
         load = Payload(options.payload, payload_offset(options.offset))
         plant = build(robot, config.period, [load] if load.mass > 0 else [])
@@ -331,7 +331,7 @@ def _simulated(options: Run, job: Job) -> tuple[Hardware, Start | None]:
         ),
         gravity_compensation=True,
     )
-    from dashpot.prepare import check
+    from dashpot.simulation.prepare import check
 
     check(scenario)
     hardware = SimHardware(scenario, link, supervisor=job.supervisor)

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from dashpot.commands.shared import bare_table
-from dashpot.controller import Controller
+from dashpot.control.controller import Controller
 from dashpot.hardware.checks import Check
 from dashpot.hardware.realtime import Measure
 from dashpot.hardware.runtime import Outcome

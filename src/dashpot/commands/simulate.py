@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dashpot.controller import Controller, load_controller
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import Plant, build, with_payload
+from dashpot.arm.robot import MAX_ANGLE, Robot
+from dashpot.certify.testbench import tap
+from dashpot.control.controller import Controller, load_controller
 from dashpot.errors import InputError, InputWarning
-from dashpot.log import from_recording
-from dashpot.logfiles import check_log_path, write_log
-from dashpot.logfiles.runlog import write_run
-from dashpot.motionfile import read_motion
-from dashpot.output import whole_folder
-from dashpot.payload import Payload
-from dashpot.plant import Plant, build, with_payload
-from dashpot.plots import save
-from dashpot.release import release_events, tracking_events
-from dashpot.rivals.gravity import with_feedforward
-from dashpot.robot import MAX_ANGLE, Robot
-from dashpot.simulate import Event, Scenario, run
-from dashpot.testbench import tap
-from dashpot.trace import run_traced
-from dashpot.trajectory import Trajectory, hold, multisine
+from dashpot.logs import check_log_path, write_log
+from dashpot.logs.log import from_recording
+from dashpot.logs.motionfile import read_motion
+from dashpot.logs.runlog import write_run
+from dashpot.simulation.feedforward import with_feedforward
+from dashpot.simulation.release import release_events, tracking_events
+from dashpot.simulation.simulate import Event, Scenario, run
+from dashpot.simulation.trace import run_traced
+from dashpot.simulation.trajectory import Trajectory, hold, multisine
+from dashpot.support.output import whole_folder
+from dashpot.support.plots import save
 
 if TYPE_CHECKING:
     from dashpot.cli.simulate import Simulate
@@ -34,7 +34,7 @@ from dashpot.commands.aside import run_aside
 from dashpot.commands.shared import payload_offset
 from dashpot.commands.simulate_faults import marks, read_changes, read_faults
 from dashpot.commands.simulate_view import draw, show
-from dashpot.engine import quiet_engine
+from dashpot.simulation.engine import quiet_engine
 
 LOGGED = 1e-4  # [s], longest step of the engine for a log
 LEAD_IN = 1.0  # [s] at rest before a motion

@@ -13,14 +13,14 @@ from matplotlib.patches import Patch
 from rich.markup import escape
 from rich.table import Table
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.robot import Robot
 from dashpot.commands.shared import bare_table
 from dashpot.errors import InputError
-from dashpot.faults import KINDS, Fault
-from dashpot.payload import Payload
-from dashpot.plots import BLACK, GREEN, PURPLE
-from dashpot.recording import Recording
-from dashpot.robot import Robot
-from dashpot.simulate import PayloadChange
+from dashpot.simulation.faults import KINDS, Fault
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.simulate import PayloadChange
+from dashpot.support.plots import BLACK, GREEN, PURPLE
 
 TINT = 0.13  # opacity of the time a fault lasts
 

@@ -12,15 +12,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from dashpot.arm.plant import Plant
+from dashpot.arm.robot import Robot
 from dashpot.commands.shared import bare_table
 from dashpot.commands.simulate_faults import Mark, draw_marks, legend_entries, listed
-from dashpot.controller import TORQUE_LIMITED, Controller
-from dashpot.plant import Plant
-from dashpot.plots import BLACK, BLUE, GREY, VERMILLION, Figure, new_figure
-from dashpot.recording import Recording
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
-from dashpot.vibration import CORNER, WINDOW, vibration
+from dashpot.control.controller import TORQUE_LIMITED, Controller
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.vibration import CORNER, WINDOW, vibration
+from dashpot.support.arrays import Floats
+from dashpot.support.plots import BLACK, BLUE, GREY, VERMILLION, Figure, new_figure
 
 if TYPE_CHECKING:
     from dashpot.cli.simulate import Simulate

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 import dashpot
-from dashpot.engine import quiet_engine
+from dashpot.arm.payload import Payload
 from dashpot.errors import DashpotError, InputError
-from dashpot.payload import Payload
+from dashpot.simulation.engine import quiet_engine
 
 if TYPE_CHECKING:
     from dashpot.cli.simulate import Studio

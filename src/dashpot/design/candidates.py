@@ -20,18 +20,18 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.map import response
-from dashpot.controller import ControllerConfig, JointGains
-from dashpot.design.motion import move
-from dashpot.drive import Drive
-from dashpot.sampled import (
+from dashpot.control.controller import ControllerConfig, JointGains
+from dashpot.control.sampled import (
     BLOCK_DTYPE,
-    Floats,
     Form,
     VirtualPassive,
     add_position_loop,
     virtual_passive_block,
 )
+from dashpot.design.motion import move
+from dashpot.support.arrays import Floats
 
 DIGITS = 4
 ANGLES = np.concatenate([[0.0], np.geomspace(1e-5, 0.1, 40), np.linspace(0.12, np.pi, 70)])
@@ -151,7 +151,9 @@ class Duty:
         )
 
     def blocks(self, gains: Gains, *, brake: bool = False) -> NDArray[np.void]:
-        """Their controllers, (k,) records of `dashpot.sampled.BLOCK_DTYPE`; brakes have no position loop."""
+        """Their controllers, (k,) records of `dashpot.control.sampled.BLOCK_DTYPE`; brakes have no position
+        loop.
+        """
         drive, found = self.drive, np.empty(len(gains), BLOCK_DTYPE)
         first, which = distinct_laws(gains)
         m, v = drive.rotor_inertia, drive.viscous_friction

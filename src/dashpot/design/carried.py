@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dashpot.arm.robot import Robot
 from dashpot.design.spec import Spec
 from dashpot.errors import InputError
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
-from dashpot.tables import as_float
+from dashpot.support.arrays import Floats
+from dashpot.support.tables import as_float
 
 POSES = 256  # of a low-discrepancy sequence over the joints' ranges
 LEAST = 1e-6  # [kg m^2], link inertia where the model has none; [N m], what is a load at all
@@ -81,8 +81,8 @@ def carried(robot: Robot, spec: Spec, period: float) -> dict[str, Carried]:
 def _from_model(robot: Robot, spec: Spec, period: float) -> dict[str, Carried]:
     import mujoco
 
-    from dashpot.payload import Payload
-    from dashpot.plant import build, full_mass
+    from dashpot.arm.payload import Payload
+    from dashpot.arm.plant import build, full_mass
 
     weight = [Payload(spec.payload, spec.offset)] if spec.payload > 0 else []
     empty, full = build(robot, period), build(robot, period, weight)

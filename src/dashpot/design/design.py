@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dashpot.arm.robot import Robot
 from dashpot.certify.threads import one_thread
-from dashpot.controller import SLIGHT, ControllerConfig
+from dashpot.control.controller import SLIGHT, ControllerConfig
 from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Duty
 from dashpot.design.carried import carried
@@ -19,9 +20,8 @@ from dashpot.design.conflicts import Conflict, conflict
 from dashpot.design.search import DOUBT, Found, JointSearch
 from dashpot.design.spec import DEFAULT_PERIOD, Spec
 from dashpot.design.wishes import NEED_LOOP, Wishes
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
-from dashpot.workers import each
+from dashpot.support.arrays import Floats
+from dashpot.support.workers import each
 
 FRONT = 5  # most points of the trade-off that are tested to the end
 PREDICTED = (

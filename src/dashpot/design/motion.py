@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from dashpot import _native
+from dashpot.arm.drive import PRESLIDING, Drive
 from dashpot.certify.joint import SPEED, sampled_joint
 from dashpot.certify.threads import one_thread
-from dashpot.drive import PRESLIDING, Drive
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 SUBSTEP = 2e-4  # [s] between two questions whether friction slips; at 1e-3 a swing is off by up to 5 %
 WINDOW = 0.05  # [s] over which a motion is looked at for an end
@@ -59,7 +59,7 @@ def move(
 
     Args:
         drive: Their drive.
-        blocks: (k,) brakes, records of `dashpot.sampled.BLOCK_DTYPE` of one latency, reading torque.
+        blocks: (k,) brakes, records of `dashpot.control.sampled.BLOCK_DTYPE` of one latency, reading torque.
         sampling: "average" or "point".
         period: [s].
         inertia: Of the link [kg m^2].

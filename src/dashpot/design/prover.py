@@ -12,8 +12,8 @@ from dashpot.certify.box import CONTINUOUS, Box, BoxCertificate, StandIn, at, ce
 from dashpot.certify.exact import holds
 from dashpot.certify.index import NO_DAMPING, SPEED_IN_SAMPLE, passivity_index
 from dashpot.certify.joint import sampled_joint
+from dashpot.control.sampled import empty_block
 from dashpot.design.candidates import Duty
-from dashpot.sampled import empty_block
 
 Depth = Literal["quick", "proof", "all"]
 Refusal = tuple[str, Mapping[str, float]]

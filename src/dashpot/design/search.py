@@ -22,7 +22,7 @@ from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Duty, Gains
 from dashpot.design.prover import Depth, Prover, Refusal
 from dashpot.design.wishes import AT_LEAST, NEED_LOOP, Wishes
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 G, CORNER, RATIO, ZETA, KD = range(5)
 RANGES = {G: (0.1, 100.0), CORNER: (1.0, 5.0), RATIO: (0.3, 300.0), KD: (1e-4, 1.0)}
@@ -351,7 +351,7 @@ class JointSearch:
         return self._released[key]
 
     def block(self, point: Floats, *, brake: bool = False) -> NDArray[np.void]:
-        """The controller at a point, a record of `dashpot.sampled.BLOCK_DTYPE`."""
+        """The controller at a point, a record of `dashpot.control.sampled.BLOCK_DTYPE`."""
         block: NDArray[np.void] = self.duty.blocks(self.gains(point[None]), brake=brake)[0]
         return block
 

@@ -10,12 +10,12 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from dashpot.controller import ControllerConfig, JointGains, Sampling
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import ControllerConfig, JointGains, Sampling
+from dashpot.control.sampled import Form
 from dashpot.design.wishes import PRESETS, Wishes
 from dashpot.errors import InputError
-from dashpot.robot import Robot
-from dashpot.sampled import Form
-from dashpot.tables import as_float, check_keys, check_numbers, number, read_toml
+from dashpot.support.tables import as_float, check_keys, check_numbers, number, read_toml
 
 Pose = Literal["worst", "home"]
 DEFAULT_PERIOD = 1e-3

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, get_args
 
 from dashpot.errors import InputError
-from dashpot.tables import Range, check_keys, check_numbers, number
+from dashpot.support.tables import Range, check_keys, check_numbers, number
 
 Wish = Literal[
     "travel", "stop_time", "creep", "load_error", "error_ratio", "noise", "authority", "damping_ratio"

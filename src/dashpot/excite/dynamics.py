@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from dashpot.drive import Drive
-from dashpot.plant import Plant
-from dashpot.sampled import Floats
+from dashpot.arm.drive import Drive
+from dashpot.arm.plant import Plant
+from dashpot.support.arrays import Floats
 
 
 def link_torque(plant: Plant, q: Floats, w: Floats, a: Floats) -> Floats:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dashpot.arm.plant import Plant
 from dashpot.errors import InputError
-from dashpot.plant import Plant
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 STOP_MARGIN = 0.1  # [rad] kept from the model's stops
 LEAST_AMPLITUDE = 0.01  # [rad] below which friction and play hide everything

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.drive import Drive
+from dashpot.arm.drive import Drive
+from dashpot.arm.plant import Plant
 from dashpot.excite.dynamics import link_torque, motor_torque
 from dashpot.identify import Refusal, identify_joint
 from dashpot.identify.refusals import CORE, MODEL_ERROR
-from dashpot.log import Log, Segment
-from dashpot.plant import Plant
-from dashpot.sampled import Floats
-from dashpot.trajectory import Trajectory
+from dashpot.logs.log import Log, Segment
+from dashpot.simulation.trajectory import Trajectory
+from dashpot.support.arrays import Floats
 
 NOISE_FLOOR = 5e-4  # least noise of a torque channel, of its limit
 NORMAL_95 = 1.96

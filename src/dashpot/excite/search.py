@@ -16,18 +16,18 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from dashpot.arm.drive import Drive
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import Plant, build, full_mass
+from dashpot.arm.robot import Robot
 from dashpot.certify.threads import one_thread
-from dashpot.drive import Drive
 from dashpot.errors import InputError
 from dashpot.excite.dynamics import largest_friction, link_torque, motor_torque
 from dashpot.excite.limits import LEAST_AMPLITUDE, Limits, check_weight, ranges
 from dashpot.excite.promise import Promise, merit, predicted_log, promise
 from dashpot.excite.tones import RAMP, Tones, arm, motion
-from dashpot.payload import Payload
-from dashpot.plant import Plant, build, full_mass
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
-from dashpot.trajectory import Trajectory
+from dashpot.simulation.trajectory import Trajectory
+from dashpot.support.arrays import Floats
 
 SHORTEST, LONGEST = 5.0, 600.0  # [s] of a motion
 TONES = 6  # sine waves per joint

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
+from dashpot.arm.robot import Robot
+from dashpot.support.arrays import Floats
 
 RAMP = 1.5  # [s], of each end
 

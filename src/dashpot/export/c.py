@@ -9,16 +9,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import Certificate
-from dashpot.controller import Controller, ControllerConfig
+from dashpot.control.controller import Controller, ControllerConfig
+from dashpot.control.sampled import NX
+from dashpot.control.supervisorsettings import SupervisorSettings
+from dashpot.control.thresholds import rules_record, watch_records
 from dashpot.export.selfcheck import CONTROLLER, STIMULUS, SUPERVISOR, TICKS, controller_hash, supervisor_hash
 from dashpot.export.source import core_texts, renamed, supervisor_texts
 from dashpot.export.summary import lines, plain
 from dashpot.export.tables import UNLIMITED, c_record
-from dashpot.robot import Robot
-from dashpot.sampled import NX
-from dashpot.supervisorsettings import SupervisorSettings
-from dashpot.thresholds import rules_record, watch_records
 
 GUARDS = f"""#include <float.h>
 #include <stdint.h>

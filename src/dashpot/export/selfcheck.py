@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dashpot._native as _native
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 TICKS = 96
 SCALES = (4.0, 2.0**-6, 2.0**-2, 2.0**-6, 2.0**-2, 1.0, 1.0)  # of the inputs, in their units

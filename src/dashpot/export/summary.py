@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from dashpot import __version__
+from dashpot.arm.robot import Robot
 from dashpot.certify.box import Box
 from dashpot.certify.certificate import STATEMENT, Certificate, paired
-from dashpot.controller import Controller, ControllerConfig
-from dashpot.robot import Robot
+from dashpot.control.controller import Controller, ControllerConfig
 
 WIDTH = 100
 SIZES = ("rotor_inertia", "viscous_friction", "stiffness", "damping", "torque_gain", "position_gain")

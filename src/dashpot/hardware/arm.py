@@ -15,9 +15,9 @@ from dataclasses import replace
 
 import dashpot._native as _native
 from dashpot.hardware.sim import LinkSettings
-from dashpot.loop import Loop
-from dashpot.simulate import Scenario
-from dashpot.trajectory import hold
+from dashpot.simulation.loop import Loop
+from dashpot.simulation.simulate import Scenario
+from dashpot.simulation.trajectory import hold
 
 CALM = 7.0  # [s] for the brakes to close and the links to stop ringing, before anybody listens
 LISTEN = 10.0  # [s] at rest, after that, that are simulated at a time until somebody takes the arm over

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 import dashpot._native as _native
+from dashpot.arm.drive import Drive
 from dashpot.certify.digest import digest
-from dashpot.controller import Controller, ControllerConfig
-from dashpot.drive import Drive
+from dashpot.control.controller import Controller, ControllerConfig
+from dashpot.control.supervisor import SupervisorSettings
 from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.interface import Hardware, Sample
-from dashpot.sampled import Floats
-from dashpot.supervisor import SupervisorSettings
-from dashpot.trajectory import Trajectory
+from dashpot.simulation.trajectory import Trajectory
+from dashpot.support.arrays import Floats
 
 NEAR = 0.05  # [rad] from where the arm is to where a motion begins
 RATE = 0.01  # relative error of the robot's cycle

@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 
 from dashpot._native import bounded, take, take_difference
+from dashpot.arm.payload import Payload
+from dashpot.arm.robot import Robot
 from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.interface import Sample
-from dashpot.payload import Payload
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 JOINTS = 7
 PERIOD = 1e-3  # [s]

@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 Ages = NDArray[np.int32]
 

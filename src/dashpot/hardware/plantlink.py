@@ -1,8 +1,8 @@
 """The simulated arm one control tick at a time, its motor torques given from outside.
 
-Where `dashpot.loop` closes the loop natively, this leaves it open: a controller in another process, or a
-robot's interface around the arm, senses at a tick and then says what the motors do until the next. The arm,
-its faults and its changes of payload are the same native code, with the same bits.
+Where `dashpot.simulation.loop` closes the loop natively, this leaves it open: a controller in another
+process, or a robot's interface around the arm, senses at a tick and then says what the motors do until the
+next. The arm, its faults and its changes of payload are the same native code, with the same bits.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ import mujoco
 import numpy as np
 
 import dashpot._native as _native
-from dashpot.engine import engine
+from dashpot.arm.plant import Plant
 from dashpot.errors import InputError
-from dashpot.faults import Fault
-from dashpot.loop import carry
-from dashpot.plant import Plant
-from dashpot.prepare import loads
-from dashpot.recording import CHANNELS, Recording
-from dashpot.sampled import Floats
-from dashpot.script import native_faults
-from dashpot.simulate import PayloadChange
+from dashpot.simulation.engine import engine
+from dashpot.simulation.faults import Fault
+from dashpot.simulation.loop import carry
+from dashpot.simulation.prepare import loads
+from dashpot.simulation.recording import CHANNELS, Recording
+from dashpot.simulation.script import native_faults
+from dashpot.simulation.simulate import PayloadChange
+from dashpot.support.arrays import Floats
 
 DAY = 86_400.0  # [s]
 ITERATIONS, TOLERANCE = 100, 1e-12  # of the rest position [rad]

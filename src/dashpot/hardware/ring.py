@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dashpot._native as _native
-from dashpot.sampled import NX
+from dashpot.control.sampled import NX
 
 ROWS = 8192  # 8 s at 1 kHz: how long the reader may be away
 COLUMNS = (

@@ -20,13 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dashpot._native as _native
-from dashpot.controller import Controller
+from dashpot.control.controller import Controller
+from dashpot.control.sampled import NW
+from dashpot.control.supervisor import STATES, Decision, State, Supervisor
 from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.interface import Hardware, Sample
 from dashpot.hardware.realtime import Measure, undisturbed
-from dashpot.sampled import NW, Floats
-from dashpot.supervisor import STATES, Decision, State, Supervisor
-from dashpot.trajectory import Trajectory
+from dashpot.simulation.trajectory import Trajectory
+from dashpot.support.arrays import Floats
 
 RUN, BRAKE, SAFE, OVER = range(4)
 FOREVER = -1

@@ -22,12 +22,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dashpot.control.supervisor import STATES, Decision, decision
 from dashpot.errors import DashpotError
 from dashpot.hardware.ring import COLUMNS, Ring
-from dashpot.supervisor import STATES, Decision, decision
 
 if TYPE_CHECKING:
-    from dashpot.logfiles.messages import Level
+    from dashpot.logs.messages import Level
 
 ROUND = 0.05  # [s] between two looks at the ring
 SHOWN = 0.2  # [s] between two status lines
@@ -95,7 +95,7 @@ class Book:
     """The log of one run: rows and decisions into a `McapWriter`."""
 
     def __init__(self, notes: Notes) -> None:
-        from dashpot.logfiles.mcapwriter import McapWriter
+        from dashpot.logs.mcapwriter import McapWriter
 
         self.notes = notes
         self.writer = McapWriter(notes.log, notes.joints, period=notes.period, metadata=dict(notes.metadata))

@@ -1,8 +1,9 @@
 """``--via sim``: a simulated arm in a process of its own, linked as a robot is (native/dashpot_link.h).
 
-The plant is that of `dashpot.simulate`: elastic joints, friction, payload, the true torque sensor, scripted
-faults. In real time it is a robot with a clock of its own; without (``realtime=False``) it waits for every
-answer, and the run has the same bits every time: those of `dashpot.simulate.run` with a supervisor.
+The plant is that of `dashpot.simulation.simulate`: elastic joints, friction, payload, the true torque
+sensor, scripted faults. In real time it is a robot with a clock of its own; without (``realtime=False``) it
+waits for every answer, and the run has the same bits every time: those of `dashpot.simulation.simulate.run`
+with a supervisor.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from pathlib import Path
 import numpy as np
 
 import dashpot._native as _native
+from dashpot.control.supervisor import Supervisor
 from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.interface import Sample
 from dashpot.hardware.runtime import Start
-from dashpot.prepare import equilibrium
-from dashpot.sampled import Floats
-from dashpot.simulate import Scenario
-from dashpot.supervisor import Supervisor
+from dashpot.simulation.prepare import equilibrium
+from dashpot.simulation.simulate import Scenario
+from dashpot.support.arrays import Floats
 
 _N = _native.MAX_JOINTS
 _FLOATS = ("torque", "position", "velocity", "in_effect")

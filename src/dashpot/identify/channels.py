@@ -9,7 +9,7 @@ import numpy as np
 from dashpot.errors import InputError
 from dashpot.identify import refusals as rules
 from dashpot.identify.windows import Channels, Windows, resolution
-from dashpot.log import Log
+from dashpot.logs.log import Log
 
 ABSURD: Mapping[str, float] = {"command": 1e6, "torque": 1e6, "motion": 1e5, "link": 1e5}
 

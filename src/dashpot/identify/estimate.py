@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 UNITS: Mapping[str, str] = {
     "rotor_inertia": "kg m^2",
@@ -22,7 +22,7 @@ UNITS: Mapping[str, str] = {
     "stiffness": "N m/rad",
     "damping": "N m s/rad",
 }
-"""What can be identified, with its unit; names and definitions are those of `dashpot.drive.Drive`."""
+"""What can be identified, with its unit; names and definitions are those of `dashpot.arm.drive.Drive`."""
 
 
 @dataclass(frozen=True)

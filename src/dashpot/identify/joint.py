@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dashpot.drive import Drive
+from dashpot.arm.drive import Drive
 from dashpot.errors import InputError
 from dashpot.identify import refusals as rules
 from dashpot.identify.channels import channels_of, hopeless, no_windows
@@ -18,7 +18,7 @@ from dashpot.identify.rotor import Rotor, RotorFit, Unknowns
 from dashpot.identify.spring import TRANSMISSION, add_transmission
 from dashpot.identify.weak import SHORTEST_KERNEL
 from dashpot.identify.windows import Channels, Windows
-from dashpot.log import Log
+from dashpot.logs.log import Log
 
 KERNELS = (1.0, 1.6, 2.6)  # tried, times the shortest
 SHORTEST_TIME = 5e-3  # [s], standard deviation of the shortest kernel: passes what moves an arm

@@ -9,7 +9,7 @@ import numpy as np
 from dashpot.identify import refusals as rules
 from dashpot.identify.estimate import UNITS, Estimate
 from dashpot.identify.rotor import STRIBECK_SHARE, RotorFit
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 CROSSED = 0.25  # of the Stribeck velocity: the speed may change by it within a kernel
 NOT_NEGATIVE = ("viscous_friction", "coulomb_friction", "damping")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.identify.estimate import Refusal
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 # Largest half-widths. `certify` takes relative ones into its box: beyond these nothing is left to certify.
 RELATIVE: Mapping[str, float] = {

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import eigh, qr
 from scipy.stats import t as student
 
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 CONFIDENCE = 0.95
 WHITE = 1e-12  # added to the noise of the scaled columns, some of which have none

@@ -16,7 +16,7 @@ import numpy as np
 
 from dashpot.identify.regression import Regression, two_stage
 from dashpot.identify.windows import LONGEST_LATENCY, Windows
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 STEPS = 20  # of Gauss-Newton, at most
 LAG = 0.5  # [periods], delay of a logged velocity: a difference quotient's; 0 to 1 is allowed for

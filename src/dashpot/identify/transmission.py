@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dashpot.identify.regression import Regression, two_stage
 from dashpot.identify.windows import Windows
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 THRESHOLDS = 12  # tried, between the noise of the deflection and `WIDEST` of its range
 WIDEST = 0.25  # of the range: a wider loop never shows that it saturates

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
-from dashpot.controller import Sampling
-from dashpot.drive import Drive
-from dashpot.sampled import Floats
+from dashpot.arm.drive import Drive
+from dashpot.control.controller import Sampling
+from dashpot.support.arrays import Floats
 
 SHORTEST_KERNEL = 2.0  # [periods], standard deviation
 REACH = 4.0  # [standard deviations]: weights beyond it sum up to 6e-5, and cannot see a friction reversal

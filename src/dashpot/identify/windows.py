@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from dashpot.controller import Sampling
-from dashpot.drive import Drive
+from dashpot.arm.drive import Drive
+from dashpot.control.controller import Sampling
 from dashpot.identify.weak import EDGE, REACH, WeakForm, sensor_memory
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 DELAYS = 3  # instruments are the filtered signals this many times further in the past
 INDEPENDENT = 7.0  # [standard deviations] apart, the noise of two windows is uncorrelated to 1e-3
@@ -27,7 +27,7 @@ STEPS = 4.0  # encoder steps per kernel: slower motion shows the steps, not the 
 
 @dataclass(frozen=True)
 class Channels:
-    """One segment of one joint, each (t,); SI units as in `dashpot.log.Segment`.
+    """One segment of one joint, each (t,); SI units as in `dashpot.logs.log.Segment`.
 
     `motion` is the rotor angle, or its rate where the log has no angle (`rate`).
     """

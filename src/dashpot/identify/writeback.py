@@ -23,12 +23,12 @@ from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT, InlineTable, Table
 
 import dashpot
-from dashpot.drive import UNCERTAIN
+from dashpot.arm.drive import UNCERTAIN
+from dashpot.arm.robot import Robot
 from dashpot.errors import InputError
 from dashpot.identify.estimate import DriveEstimate, Estimate
-from dashpot.log import Log
-from dashpot.robot import Robot
-from dashpot.tables import read_toml
+from dashpot.logs.log import Log
+from dashpot.support.tables import read_toml
 
 LEAST_LATENCY = 1e-5  # [s], written where the interval ends just above zero: less is none
 

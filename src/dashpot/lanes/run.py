@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import dashpot._native as _native
+from dashpot.arm.plant import Plant, with_payload
 from dashpot.errors import InputError, ModelError
 from dashpot.lanes.tree import Tree, tree_of
-from dashpot.plant import Plant, with_payload
-from dashpot.prepare import Prepared
-from dashpot.recording import Recording
-from dashpot.remember import Remembered
+from dashpot.simulation.prepare import Prepared
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.remember import Remembered
 
 if TYPE_CHECKING:
-    from dashpot.simulate import Scenario
+    from dashpot.simulation.simulate import Scenario
 
 WIDTHS: dict[int, str] = dict(_native.LANES)
 """Lanes that this machine has -> instruction set; the last is the widest."""
@@ -48,7 +48,7 @@ class LaneRun(Prepared):
 
         Raises:
             ModelError: Its plant has something that only MuJoCo simulates.
-            InputError: As `dashpot.simulate.run`.
+            InputError: As `dashpot.simulation.simulate.run`.
         """
         super().__init__(scenario, remembered=remembered)
         period, plant = scenario.trajectory.period, self._plant
@@ -105,14 +105,14 @@ def run_lanes(
         scenarios: In any order, of any robots.
         width: Lanes, one of `WIDTHS`; None: the widest.
         threads: That share the groups.
-        remembered: As of `dashpot.prepare.Prepared`.
+        remembered: As of `dashpot.simulation.prepare.Prepared`.
 
     Returns:
         Recordings in the order of the scenarios.
 
     Raises:
         ModelError: A plant has something that only MuJoCo simulates.
-        InputError: As `dashpot.simulate.run`, or no such width.
+        InputError: As `dashpot.simulation.simulate.run`, or no such width.
     """
     prepared = [LaneRun(scenario, remembered) for scenario in scenarios]
     launch(prepared, width=width, threads=threads)

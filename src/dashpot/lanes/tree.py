@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dashpot._native as _native
+from dashpot.arm.plant import Plant
 from dashpot.errors import ModelError
-from dashpot.plant import Plant
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 NBODY = 10
 RENAMES = 1e-14  # a turn that is so close to one that only renames axes is that one

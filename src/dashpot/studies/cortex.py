@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from dashpot.export.c import Export
-from dashpot.sampled import Floats
 from dashpot.studies.export_cases import STRICT, write_sources
+from dashpot.support.arrays import Floats
 
 FLASH, RAM, SCRIPT, RESULT = 0x08000000, 0x20000000, 0x60000000, 0x68000000
 FLASH_SIZE, RAM_SIZE, BUFFER = 1 << 20, 1 << 17, 1 << 27

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import certify_joint
 from dashpot.certify.threads import one_thread
 from dashpot.design import candidates as quantity
@@ -26,10 +27,9 @@ from dashpot.design.design import design_joint, duties
 from dashpot.design.search import COSTLY, JointSearch
 from dashpot.design.spec import Spec
 from dashpot.design.wishes import PRESETS
-from dashpot.robot import Robot
 from dashpot.studies.designs_bench import SWING, bench, creep, load_error, stop
 from dashpot.studies.designs_cases import random_duty, scattered
-from dashpot.workers import cores
+from dashpot.support.workers import cores
 
 COMPARED = ("stop_time", "creep", "error_ratio")
 DRIVES, POINTS = 50, 100_000

@@ -10,9 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import certify_arm
 from dashpot.certify.threads import one_thread
-from dashpot.controller import Controller, ControllerConfig, load_controller
+from dashpot.control.controller import Controller, ControllerConfig, load_controller
 from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Duty, Gains
 from dashpot.design.design import Design, design_arm, duties
@@ -20,15 +23,12 @@ from dashpot.design.search import COSTLY, G, JointSearch
 from dashpot.design.spec import NO_LIMIT, Spec
 from dashpot.design.wishes import Wishes
 from dashpot.errors import InputWarning
-from dashpot.payload import Payload
-from dashpot.plant import build
-from dashpot.recording import Recording
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
-from dashpot.simulate import Event, Scenario, run
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.simulate import Event, Scenario, run
+from dashpot.simulation.trajectory import multisine
 from dashpot.studies.designs_cases import scattered
-from dashpot.trajectory import multisine
-from dashpot.workers import cores
+from dashpot.support.arrays import Floats
+from dashpot.support.workers import cores
 
 DESIGNED_FOR = 3.0  # [kg]
 UNSEEN = (0.0, 0.7, 1.9, 4.0)  # [kg]; the last is more than was designed for

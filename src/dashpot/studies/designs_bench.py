@@ -10,17 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
+from dashpot.arm.plant import Plant, build
+from dashpot.arm.robot import Robot
 from dashpot.certify.loads import Load
-from dashpot.controller import Controller, JointGains
+from dashpot.certify.testbench import write
+from dashpot.control.controller import Controller, JointGains
 from dashpot.design.candidates import Duty, stopped
 from dashpot.errors import InputWarning
-from dashpot.plant import Plant, build
-from dashpot.recording import Recording
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
-from dashpot.simulate import Event, Scenario, run
-from dashpot.testbench import write
-from dashpot.trajectory import Trajectory, hold
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.simulate import Event, Scenario, run
+from dashpot.simulation.trajectory import Trajectory, hold
+from dashpot.support.arrays import Floats
 
 STEP = 5e-5  # [s], longest physics step; at 2e-4 a swing that just stops may last 40 % longer
 RUN_UP, EVEN, WATCH = 0.4, 0.8, 4.0  # [s] of speeding up, of moving on evenly, and of watching

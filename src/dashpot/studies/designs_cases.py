@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.stats import qmc
 
+from dashpot.arm.drive import Drive
 from dashpot.design.candidates import Duty
 from dashpot.design.search import RANGES, ZETA, JointSearch
-from dashpot.drive import Drive
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 SPRUNG = (0.7, 8.0)  # zeta of the points that have a virtual spring
 

@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dashpot.design.candidates import Duty
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 Complex = NDArray[np.complex128]
 

@@ -16,15 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import certify_joint
 from dashpot.certify.threads import one_thread
-from dashpot.controller import load_controller
+from dashpot.control.controller import load_controller
 from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Duty, Gains
 from dashpot.design.design import duties
 from dashpot.design.wishes import Wishes
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
 from dashpot.studies.designs_arms import AS_GOOD, HAND, wanted
 from dashpot.studies.designs_necessary import (
     KD,
@@ -39,6 +38,7 @@ from dashpot.studies.designs_necessary import (
     entries,
     unstable,
 )
+from dashpot.support.arrays import Floats
 
 JOINT = "joint6"
 WISHES = ("error_ratio", "load_error")

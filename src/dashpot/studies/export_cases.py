@@ -18,15 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dashpot._native as _native
-from dashpot.controller import ControllerConfig, Law, load_controller
-from dashpot.drive import Drive
+from dashpot.arm.drive import Drive
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import ControllerConfig, Law, load_controller
+from dashpot.control.jointlaw import JointGains
+from dashpot.control.laws import LAWS
+from dashpot.control.sampled import NX
+from dashpot.control.supervisorsettings import SupervisorSettings
 from dashpot.export.c import Export
 from dashpot.export.compiler import compiler
-from dashpot.jointlaw import JointGains
-from dashpot.laws import LAWS
-from dashpot.robot import Robot
-from dashpot.sampled import NX, Floats
-from dashpot.supervisorsettings import SupervisorSettings
+from dashpot.support.arrays import Floats
 
 NONE, MODE, LOOP, WARM, PRESET, RESET, ISSUE, STOP, SUPERVISOR_RESET = range(9)  # as in export_drive.c
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")

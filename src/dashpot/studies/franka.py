@@ -28,15 +28,15 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.controller import Controller, load_controller
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, load_controller
+from dashpot.control.supervisor import Supervisor
 from dashpot.errors import DashpotError
 from dashpot.hardware.franka import FrankaHardware, connect, pylibfranka
 from dashpot.hardware.realtime import undisturbed
 from dashpot.hardware.runtime import LoopSettings, Outcome, control
-from dashpot.recording import CHANNELS, Recording
-from dashpot.robot import Robot
-from dashpot.supervisor import Supervisor
-from dashpot.trajectory import Trajectory, multisine
+from dashpot.simulation.recording import CHANNELS, Recording
+from dashpot.simulation.trajectory import Trajectory, multisine
 
 PERIOD = 1e-3  # [s]
 PICK_UP, FROZEN, DURATION = 1.0, 2.0, 4.5  # [s]

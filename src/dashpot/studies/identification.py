@@ -26,7 +26,7 @@ import numpy as np
 from dashpot.errors import InputWarning
 from dashpot.identify import identify_joint
 from dashpot.identify.estimate import DriveEstimate
-from dashpot.log import Log
+from dashpot.logs.log import Log
 from dashpot.studies.identification_blind import KINDS
 from dashpot.studies.identification_cases import JOINT, Bench, known, random_bench, simulate, to_log, truth
 from dashpot.studies.soundness import spread

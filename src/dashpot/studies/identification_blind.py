@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.controller import Controller
-from dashpot.log import Log, Segment
-from dashpot.recording import Recording
-from dashpot.sampled import VELOCITY_REF, Floats, empty_block, pd_block
-from dashpot.simulate import Scenario, run
+from dashpot.control.controller import Controller
+from dashpot.control.sampled import VELOCITY_REF, empty_block, pd_block
+from dashpot.logs.log import Log, Segment
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.simulate import Scenario, run
+from dashpot.simulation.trajectory import Trajectory
 from dashpot.studies.identification_cases import Bench, random_bench, to_log
-from dashpot.trajectory import Trajectory
+from dashpot.support.arrays import Floats
 
 SECONDS = 20.0
 RIGID = 20.0

@@ -9,15 +9,16 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from dashpot.controller import Controller, ControllerConfig, JointGains, Sampling
-from dashpot.drive import Drive
-from dashpot.log import Log, Segment
-from dashpot.plant import Plant, build
-from dashpot.recording import Recording
-from dashpot.robot import Robot
-from dashpot.sampled import Floats, pd_block
-from dashpot.simulate import Scenario, run
-from dashpot.trajectory import Trajectory, multisine
+from dashpot.arm.drive import Drive
+from dashpot.arm.plant import Plant, build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, ControllerConfig, JointGains, Sampling
+from dashpot.control.sampled import pd_block
+from dashpot.logs.log import Log, Segment
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.simulate import Scenario, run
+from dashpot.simulation.trajectory import Trajectory, multisine
+from dashpot.support.arrays import Floats
 
 STEP = 5e-5  # [s], longest physics step: far below what the drives do
 DURATION = 24.0  # [s] of motion

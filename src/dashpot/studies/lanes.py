@@ -21,26 +21,26 @@ from typing import Any
 
 import numpy as np
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build, with_timestep
+from dashpot.arm.robot import Robot
 from dashpot.campaign.execute import execute
 from dashpot.campaign.measures import MEASURES
 from dashpot.campaign.scenario import Campaign
 from dashpot.campaign.spec import Spec
 from dashpot.campaign.store import Store, create, open_dataset
 from dashpot.commands.campaign_view import progress_bar
-from dashpot.controller import Controller, load_controller
-from dashpot.engine import quiet_engine
+from dashpot.control.controller import Controller, load_controller
 from dashpot.errors import InputWarning
 from dashpot.lanes import WIDTHS, run_lanes
-from dashpot.payload import Payload
-from dashpot.plant import build, with_timestep
-from dashpot.recording import CHANNELS
-from dashpot.release import tracking_events
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
-from dashpot.simulate import Scenario, run
+from dashpot.simulation.engine import quiet_engine
+from dashpot.simulation.recording import CHANNELS
+from dashpot.simulation.release import tracking_events
+from dashpot.simulation.simulate import Scenario, run
+from dashpot.simulation.trajectory import multisine
 from dashpot.studies.lanes_cases import random_arm, random_config, random_scenario
-from dashpot.trajectory import multisine
-from dashpot.workers import cores, each
+from dashpot.support.arrays import Floats
+from dashpot.support.workers import cores, each
 
 ARMS = {"fr3": ("fr3", 3.0), "iiwa14": ("iiwa14", 7.0), "k807": ("k807-wrist", 4.5)}
 """Robot -> controller and largest payload [kg]."""

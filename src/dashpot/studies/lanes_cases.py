@@ -9,17 +9,17 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from dashpot.controller import Controller, ControllerConfig, JointGains
-from dashpot.drive import Drive, InnerLoop, Servo
+from dashpot.arm.drive import Drive, InnerLoop, Servo
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import Plant, build, with_payload
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, ControllerConfig, JointGains
 from dashpot.errors import InputError
-from dashpot.faults import NAMES, Fault
-from dashpot.payload import Payload
-from dashpot.plant import Plant, build, with_payload
-from dashpot.release import tracking_events
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
-from dashpot.simulate import Event, PayloadChange, Scenario
-from dashpot.trajectory import multisine
+from dashpot.simulation.faults import NAMES, Fault
+from dashpot.simulation.release import tracking_events
+from dashpot.simulation.simulate import Event, PayloadChange, Scenario
+from dashpot.simulation.trajectory import multisine
+from dashpot.support.arrays import Floats
 
 SECONDS = 0.3  # of a scenario
 PERIOD = 1e-3  # [s]

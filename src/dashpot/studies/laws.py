@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 
+from dashpot.arm.drive import Drive
+from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import JointCertificate, certify_joint
 from dashpot.certify.joint import uses
-from dashpot.controller import ControllerConfig, Law, joint_block, load_controller
-from dashpot.drive import Drive
-from dashpot.laws import law_from_table
-from dashpot.robot import Robot
-from dashpot.sampled import POSITION, TORQUE, VELOCITY
+from dashpot.control.controller import ControllerConfig, Law, joint_block, load_controller
+from dashpot.control.laws import law_from_table
+from dashpot.control.sampled import POSITION, TORQUE, VELOCITY
 
 JOINT = "joint2"
 LOOP = {"kp": 2000.0, "kd": 60.0}

@@ -24,8 +24,8 @@ from dashpot.campaign.scenario import OK, Campaign
 from dashpot.campaign.spec import Spec
 from dashpot.campaign.store import Store, attributes, check_same, create, open_dataset
 from dashpot.commands.campaign_view import progress_bar
-from dashpot.engine import quiet_engine
-from dashpot.supervisor import STATES
+from dashpot.control.supervisor import STATES
+from dashpot.simulation.engine import quiet_engine
 
 SEED = 1  # of the chunks that are drawn
 

@@ -33,11 +33,11 @@ from typing import Any
 import numpy as np
 
 import dashpot._native as _native
-from dashpot.controller import ControllerConfig
-from dashpot.laws import law_from_table, to_table
-from dashpot.recording import Recording
-from dashpot.robot import Robot
-from dashpot.simulate import Scenario, run_many
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import ControllerConfig
+from dashpot.control.laws import law_from_table, to_table
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.simulate import Scenario, run_many
 from dashpot.studies import rivals_arms_measures as measures
 from dashpot.studies.rivals_arms_cases import (
     ARMS,
@@ -59,7 +59,7 @@ from dashpot.studies.rivals_arms_measures import Seen
 from dashpot.studies.rivals_arms_parts import Parts
 from dashpot.studies.rivals_arms_tables import write_document
 from dashpot.studies.rivals_arms_tuning import tuned
-from dashpot.workers import cores, each
+from dashpot.support.workers import cores, each
 
 SEEDS, TRACKER_SEEDS, BUDGET, SEED = 168, 42, 24, 1  # 504 runs per arm and brake with three payloads
 CHUNK = 42  # seeds that are run at once, and kept

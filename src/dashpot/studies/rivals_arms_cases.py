@@ -13,17 +13,17 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from dashpot.controller import Controller, ControllerConfig, Law, load_controller
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import Plant, build, full_mass
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, ControllerConfig, Law, load_controller
+from dashpot.control.laws import law_from_table, to_table
 from dashpot.errors import InputWarning
-from dashpot.faults import Fault
-from dashpot.laws import law_from_table, to_table
-from dashpot.payload import Payload
-from dashpot.plant import Plant, build, full_mass
-from dashpot.robot import Robot
-from dashpot.simulate import Event, Scenario
+from dashpot.simulation.faults import Fault
+from dashpot.simulation.simulate import Event, Scenario
+from dashpot.simulation.trajectory import Trajectory, hold, multisine
 from dashpot.studies.rivals_bench import Bench
 from dashpot.studies.rivals_tuning import ASSUMED
-from dashpot.trajectory import Trajectory, hold, multisine
 
 AMPLITUDE, RAMP = 0.35, 0.6  # [rad] about home, and [s] in which the motion swells
 LOST, WATCHED = 1.2, 6.0  # [s]: when all encoders are lost, and how long is watched then
@@ -208,7 +208,7 @@ def rest(arm: Arm, config: ControllerConfig, payload: float, seed: int) -> Scena
 
 
 def _tracking(arm: Arm, config: ControllerConfig, payload: float, seed: int, path: Trajectory) -> Scenario:
-    from dashpot.rivals.gravity import gravity_reference
+    from dashpot.simulation.feedforward import gravity_reference
 
     modelled = [law for law in config.joints if law.law == "pd_gravity"]
     if modelled:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from dashpot.commands.design_words import conflict_lines
+from dashpot.control.laws import to_table
 from dashpot.design.design import design_arm
 from dashpot.design.spec import Spec
-from dashpot.laws import to_table
+from dashpot.design.words import conflict_lines
 from dashpot.studies.rivals_arms_cases import Arm, benches, bundled, robot
-from dashpot.workers import cores
+from dashpot.support.workers import cores
 
 LOAD_ERROR = 0.05  # [rad]; without a limit `track` at 200 Hz is certified, but too soft to be a tracker
 DUTIES: dict[str, tuple[str, dict[str, float]]] = {

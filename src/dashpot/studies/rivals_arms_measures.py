@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.certificate import certify_joint
-from dashpot.controller import ControllerConfig, Law
-from dashpot.drive import Drive
-from dashpot.faults import short_corner, short_damping
-from dashpot.linear import SampledArm, linearise, modes
-from dashpot.recording import Recording
-from dashpot.sampled import Floats
-from dashpot.simulate import Scenario
+from dashpot.control.controller import ControllerConfig, Law
+from dashpot.simulation.faults import short_corner, short_damping
+from dashpot.simulation.linear import SampledArm, linearise, modes
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.simulate import Scenario
 from dashpot.studies.rivals_arms_cases import (
     AMPLITUDE,
     LOST,
@@ -26,6 +25,7 @@ from dashpot.studies.rivals_arms_cases import (
     released,
     robot,
 )
+from dashpot.support.arrays import Floats
 
 STOPPED, STILL = 0.05, 0.02  # of the speed at the loss [-], or [rad/s], below which a joint has stopped
 SLOW = 0.05  # [rad/s]; joints slower than that have no stop time

@@ -134,7 +134,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
     """How far the worst joint gets: 5 to 95 %, 25 to 75 % and median of all runs, per brake and arm."""
     from matplotlib.ticker import FuncFormatter
 
-    from dashpot.plots import BLUE, GREY, VERMILLION, new_figure, save
+    from dashpot.support.plots import BLUE, GREY, VERMILLION, new_figure, save
 
     arms = list(dict.fromkeys(row["arm"] for row in result["brakes"]))
     figure, axes = new_figure(1, len(arms), 12.0, 3.6, sharey=True)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from dashpot.laws import to_table
+from dashpot.control.laws import to_table
 from dashpot.studies.rivals_arms_cases import Arm, benches
 from dashpot.studies.rivals_arms_parts import Parts
 from dashpot.studies.rivals_bench import Bench

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
+from dashpot.arm.drive import Drive
+from dashpot.arm.plant import Plant, build
+from dashpot.arm.robot import Robot
 from dashpot.certify.loads import Load
-from dashpot.controller import ControllerConfig, JointGains, Law, Sampling
-from dashpot.drive import Drive
-from dashpot.plant import Plant, build
-from dashpot.robot import Robot
-from dashpot.testbench import write
+from dashpot.certify.testbench import write
+from dashpot.control.controller import ControllerConfig, JointGains, Law, Sampling
 
 SCALES: Mapping[str, int] = {"D": 1, "kd": 1, "damping": 1, "kp": 2, "ki": 3}
 """Numbers of a law that scale with the drive, and with which power of 1/period (`Bench.scale`)."""

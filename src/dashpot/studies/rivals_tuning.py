@@ -33,14 +33,15 @@ from scipy.stats import qmc
 from dashpot.certify.certificate import certify_joint
 from dashpot.certify.joint import sampled_joint
 from dashpot.certify.loads import loops
-from dashpot.controller import Controller, Law, joint_block
+from dashpot.control.controller import Controller, Law, joint_block
+from dashpot.control.laws import law_from_table
+from dashpot.control.sampled import without_encoder
 from dashpot.errors import InputWarning
-from dashpot.laws import law_from_table
-from dashpot.recording import Recording
-from dashpot.sampled import Floats, without_encoder
-from dashpot.simulate import Event, Scenario, run_many
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.simulate import Event, Scenario, run_many
+from dashpot.simulation.trajectory import Trajectory, hold, multisine
 from dashpot.studies.rivals_bench import BENCH, SCALES, Bench
-from dashpot.trajectory import Trajectory, hold, multisine
+from dashpot.support.arrays import Floats
 
 BUDGET, GLOBAL, ROUNDS = 400, 256, 6
 SEED = 1

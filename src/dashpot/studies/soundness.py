@@ -24,12 +24,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.box import Box, at, certify_box
 from dashpot.certify.counterexample import Counterexample, counterexample
 from dashpot.certify.index import passivity_index
 from dashpot.certify.joint import SampledJoint, Scales, sampled_joint
 from dashpot.certify.loads import GROWS, radii
-from dashpot.drive import Drive
 from dashpot.studies.soundness_cases import INERTIAS, LENGTHS, MASSES, SPRINGS, case, loads, random_point
 from dashpot.studies.soundness_checks import precise_radius, single_frequency
 

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.box import POINTS, Box
 from dashpot.certify.index import Index, passivity_index
 from dashpot.certify.joint import SampledJoint, sampled_joint
 from dashpot.certify.loads import Load
-from dashpot.controller import ControllerConfig, JointGains, joint_block
-from dashpot.drive import Drive
+from dashpot.control.controller import ControllerConfig, JointGains, joint_block
+from dashpot.control.sampled import Form
 from dashpot.errors import InputWarning
-from dashpot.sampled import Floats, Form
+from dashpot.support.arrays import Floats
 
 CENTRES = {  # parameters are log-uniform over a decade on each side, SI units
     "rotor_inertia": 0.1,

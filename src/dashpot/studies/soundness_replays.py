@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 
+from dashpot.arm.plant import build
+from dashpot.arm.robot import Robot
 from dashpot.certify.counterexample import Counterexample, counterexample
 from dashpot.certify.loads import GRAVITY, Load
-from dashpot.controller import TORQUE_LIMITED, Controller, ControllerConfig
-from dashpot.plant import build
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
-from dashpot.simulate import Scenario, run
+from dashpot.certify.testbench import KNOCK, replay, tap, write
+from dashpot.control.controller import TORQUE_LIMITED, Controller, ControllerConfig
+from dashpot.simulation.simulate import Scenario, run
+from dashpot.simulation.trajectory import hold
 from dashpot.studies.soundness import CERTIFIED, REFUTED, Verdict
 from dashpot.studies.soundness_cases import Case, case
-from dashpot.testbench import KNOCK, replay, tap, write
-from dashpot.trajectory import hold
+from dashpot.support.arrays import Floats
 
 PAYLOADS = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0)  # [kg]
 ARM, LINK = 0.3, 0.01  # [m] to the payload; [kg m^2] of the link alone

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dashpot.controller import Controller, ControllerConfig
-from dashpot.recording import Recording
-from dashpot.robot import Robot
-from dashpot.supervisor import EVENTS, STATES, Supervisor, SupervisorSettings, next_state
-from dashpot.trajectory import Trajectory
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import Controller, ControllerConfig
+from dashpot.control.supervisor import EVENTS, STATES, Supervisor, SupervisorSettings, next_state
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.trajectory import Trajectory
 
 
 def replay(
@@ -100,7 +100,7 @@ def draw(path: Path) -> None:
     """Draws states and transitions as a PNG."""
     from matplotlib.patches import FancyBboxPatch
 
-    from dashpot.plots import BLUE, GREEN, GREY, VERMILLION, new_figure, save
+    from dashpot.support.plots import BLUE, GREEN, GREY, VERMILLION, new_figure, save
 
     colour = {"track": GREEN, "torque_brake": BLUE, "encoder_brake": BLUE, "safe": VERMILLION}
     figure, axes = new_figure(1, 1, 9.0, 4.0)

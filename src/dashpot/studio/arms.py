@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from dashpot.commands import NATIVE_LOOP
-from dashpot.controller import ControllerConfig, load_controller
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import Plant, build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import ControllerConfig, load_controller
+from dashpot.control.supervisor import SupervisorSettings
 from dashpot.errors import DashpotError, InputWarning
-from dashpot.faults import Fault
-from dashpot.payload import Payload
-from dashpot.plant import Plant, build
-from dashpot.robot import Robot
+from dashpot.simulation.faults import Fault
 from dashpot.studio.choices import carriable, poses, rival_of
 from dashpot.studio.energy import Account, Energy
 from dashpot.studio.live import LiveArm
@@ -29,7 +29,7 @@ from dashpot.studio.margins import Certifier
 from dashpot.studio.references import Hold, Reference, go_to
 from dashpot.studio.ring import Ring
 from dashpot.studio.snapshot import News
-from dashpot.supervisor import SupervisorSettings
+from dashpot.support.workers import NATIVE_LOOP
 
 WINDOW = 0.01  # [s] between two looks at what is asked for
 LATEST = 0.25  # [s] by which the arm may fall behind before it gives the lost time up
@@ -61,7 +61,7 @@ class Arms:
             certify: Whether margins are kept; they need a process of their own.
 
         Raises:
-            DashpotError: See `Robot.load`, `load_controller` and `dashpot.plant.build`.
+            DashpotError: See `Robot.load`, `load_controller` and `dashpot.arm.plant.build`.
         """
         self._lock = threading.RLock()
         self._running, self._closed = False, threading.Event()

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import viser
 
-from dashpot.sampled import Floats
 from dashpot.studio import markup
 from dashpot.studio.markup import BLUE, GREEN, ORANGE, VERMILLION
 from dashpot.studio.ring import Past, envelope
 from dashpot.studio.session import Session
+from dashpot.support.arrays import Floats
 
 SECONDS = 10.0  # shown
 BINS = 90  # 180 points a line

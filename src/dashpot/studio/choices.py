@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.controller import ControllerConfig, JointGains, Law
-from dashpot.drive import Drive
+from dashpot.arm.drive import Drive
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import Plant
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import ControllerConfig, JointGains, Law
+from dashpot.control.law import static_R
+from dashpot.control.rivals.brakes import Off, RotorObserver, StaticFeedback
+from dashpot.control.rivals.tracking import PD, PID, InertiaShaping, PDScaled
 from dashpot.errors import InputError
-from dashpot.faults import FaultKind
-from dashpot.law import static_R
-from dashpot.payload import Payload
-from dashpot.plant import Plant
-from dashpot.rivals.brakes import Off, RotorObserver, StaticFeedback
-from dashpot.rivals.tracking import PD, PID, InertiaShaping, PDScaled
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
+from dashpot.simulation.faults import FaultKind
+from dashpot.support.arrays import Floats
 
 INTEGRATION = 1.0  # [s], kp/ki of the PID rival
 
@@ -131,7 +131,7 @@ class PanelFault:
 
     Attributes:
         label: On its switch.
-        kind: See `dashpot.faults.KINDS`.
+        kind: See `dashpot.simulation.faults.KINDS`.
         per_joint: Whether it is of the chosen joint; else of the whole arm.
         size: What its value is, with the unit in brackets, or "": it takes none.
         value: To begin with.

@@ -8,15 +8,15 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import replace
 
-from dashpot.commands.design_words import conflict_lines
-from dashpot.controller import ControllerConfig
+from dashpot.arm.payload import Payload
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import ControllerConfig
 from dashpot.design.design import Design, design_arm
 from dashpot.design.spec import Spec
+from dashpot.design.words import conflict_lines
 from dashpot.errors import DashpotError
-from dashpot.payload import Payload
-from dashpot.robot import Robot
 from dashpot.studio.margins import be_nice
-from dashpot.workers import deaf_to_interrupts, pool_of
+from dashpot.support.workers import deaf_to_interrupts, pool_of
 
 PRESETS = ("track", "gentle")  # "brake" leaves the position loop out, by which the studio's arm moves
 

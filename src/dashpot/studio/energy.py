@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.controller import JointGains
-from dashpot.sampled import Floats, VirtualPassive
+from dashpot.control.controller import JointGains
+from dashpot.control.sampled import VirtualPassive
 from dashpot.studio.live import LiveArm
+from dashpot.support.arrays import Floats
 
 
 @dataclass(frozen=True)

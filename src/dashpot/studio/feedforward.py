@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from dashpot.controller import ControllerConfig
-from dashpot.payload import Payload
-from dashpot.plant import Plant, build
-from dashpot.rivals.tracking import PDGravity
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import Plant, build
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import ControllerConfig
+from dashpot.control.rivals.tracking import PDGravity
+from dashpot.support.arrays import Floats
 
 
 class Feedforward:

@@ -11,16 +11,17 @@ import mujoco
 import numpy as np
 
 import dashpot
-from dashpot.commands.design_files import GAINS, value
-from dashpot.controller import ControllerConfig, JointGains
+from dashpot.arm.payload import Payload
+from dashpot.control.controller import ControllerConfig, JointGains
+from dashpot.control.laws import to_table
+from dashpot.design.quantities import GAINS
 from dashpot.errors import InputError
-from dashpot.laws import to_table
-from dashpot.log import from_recording
-from dashpot.logfiles import write_log
-from dashpot.payload import Payload
-from dashpot.recording import CHANNELS, Recording
+from dashpot.logs import write_log
+from dashpot.logs.log import from_recording
+from dashpot.simulation.recording import CHANNELS, Recording
+from dashpot.simulation.trajectory import Trajectory
 from dashpot.studio.session import Session
-from dashpot.trajectory import Trajectory
+from dashpot.support.tables import toml_value
 
 FRAMES = 25  # of a replay [1/s]
 
@@ -46,21 +47,21 @@ def controller_toml(
         f"# The arm carried {carried}.",
         "# What is certified is said per joint as it was known then; dashpot certify proves it again.",
         "",
-        f"period = {value(config.period)}  # s",
+        f"period = {toml_value(config.period)}  # s",
         f"latency = {config.latency}  # whole samples",
     ]
     if config.latency_max is not None:
         lines.append(f"latency_max = {config.latency_max}")
     lines += [
-        f"sampling = {value(config.sampling)}",
-        f"form = {value(config.form)}",
-        f"blend = {value(config.blend)}  # s",
+        f"sampling = {toml_value(config.sampling)}",
+        f"form = {toml_value(config.form)}",
+        f"blend = {toml_value(config.blend)}  # s",
     ]
     for law in config.joints:
         lines += ["", f"# {verdicts.get(law.name, 'not certified yet')}", "[[joint]]"]
         for key, item in to_table(law).items():
             unit = GAINS.get(key, "") if isinstance(law, JointGains) else ""
-            lines.append(f"{key} = {value(item)}" + (f"  # {unit}" if unit else ""))
+            lines.append(f"{key} = {toml_value(item)}" + (f"  # {unit}" if unit else ""))
     return "\n".join(lines) + "\n"
 
 

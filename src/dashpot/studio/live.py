@@ -1,7 +1,7 @@
 """A simulated arm that runs on for as long as somebody watches, and is changed while it runs.
 
-It is the loop of `dashpot.simulate` with its tables cut into windows of some ticks: where nothing is changed
-the bits are the same.
+It is the loop of `dashpot.simulation.simulate` with its tables cut into windows of some ticks: where
+nothing is changed the bits are the same.
 """
 
 from __future__ import annotations
@@ -15,18 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dashpot._native as _native
-from dashpot.compensation import compensation
-from dashpot.controller import MODES, Controller, ControllerConfig, Mode
-from dashpot.equilibrium import settle
-from dashpot.errors import InputError
-from dashpot.faults import Fault
-from dashpot.loop import Loop, carry
-from dashpot.payload import Payload
-from dashpot.plant import Plant, with_timestep
-from dashpot.recording import CHANNELS
-from dashpot.release import tracking_events
-from dashpot.robot import Robot
-from dashpot.sampled import (
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import Plant, with_timestep
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import MODES, Controller, ControllerConfig, Mode
+from dashpot.control.sampled import (
     IN_EFFECT,
     NW,
     NX,
@@ -36,16 +29,23 @@ from dashpot.sampled import (
     TORQUE_REF,
     VELOCITY,
     VELOCITY_REF,
-    Floats,
 )
-from dashpot.script import FAULT_DTYPE, fault_records, fault_rows, native_faults
-from dashpot.simulate import Scenario
+from dashpot.control.supervisor import STATES, Decision, State, SupervisorSettings, decisions, native_guard
+from dashpot.control.thresholds import watch_records
+from dashpot.errors import InputError
+from dashpot.simulation.compensation import compensation
+from dashpot.simulation.equilibrium import settle
+from dashpot.simulation.faults import Fault
+from dashpot.simulation.loop import Loop, carry
+from dashpot.simulation.recording import CHANNELS
+from dashpot.simulation.release import tracking_events
+from dashpot.simulation.script import FAULT_DTYPE, fault_records, fault_rows, native_faults
+from dashpot.simulation.simulate import Scenario
+from dashpot.simulation.trajectory import Trajectory
 from dashpot.studio.feedforward import Feedforward
 from dashpot.studio.push import Push
 from dashpot.studio.references import Hold, Reference
-from dashpot.supervisor import STATES, Decision, State, SupervisorSettings, decisions, native_guard
-from dashpot.thresholds import watch_records
-from dashpot.trajectory import Trajectory
+from dashpot.support.arrays import Floats
 
 TRACK: State = "track"
 
@@ -56,7 +56,7 @@ class Window:
 
     Attributes:
         tick: The first one.
-        record: `dashpot.recording.CHANNELS` x ticks x joints.
+        record: `dashpot.simulation.recording.CHANNELS` x ticks x joints.
         reference: Position reference, (ticks, n) [rad].
         external: Torque on the links, (ticks, n) [N m].
         status: Or-ed controller statuses, (ticks,).
@@ -106,7 +106,7 @@ class LiveArm(Loop):
         Args:
             robot: The arm.
             config: Its controller.
-            plant: The arm with its payload, for the controller's period (`dashpot.plant.build`).
+            plant: The arm with its payload, for the controller's period (`dashpot.arm.plant.build`).
             reference: From tick 0 on.
             payloads: Those of the plant.
             supervisor: Runs in place of the bare controller; None: none does.

@@ -17,18 +17,19 @@ from typing import Any, Literal
 
 import numpy as np
 
+from dashpot.arm.drive import Drive
+from dashpot.arm.robot import Robot
 from dashpot.certify.box import Box
 from dashpot.certify.certificate import JointCertificate, block_of, certify_joint
 from dashpot.certify.index import passivity_index
 from dashpot.certify.joint import Scales
 from dashpot.certify.map import IndexMap
-from dashpot.controller import ControllerConfig, JointGains, Law
-from dashpot.drive import Drive
+from dashpot.control.controller import ControllerConfig, JointGains, Law
+from dashpot.control.sampled import empty_block
 from dashpot.errors import DashpotError
-from dashpot.robot import Robot
-from dashpot.sampled import Floats, empty_block
 from dashpot.studio.quick import quick_worst
-from dashpot.workers import deaf_to_interrupts, pool_of
+from dashpot.support.arrays import Floats
+from dashpot.support.workers import deaf_to_interrupts, pool_of
 
 Verdict = Literal["certified", "checking", "not certified"]
 POINTS, TRIED = 36, 18  # of R and of D in a map, and of them with loads tried
@@ -87,7 +88,7 @@ def _prove(drive: Drive, law: Law, config: ControllerConfig) -> JointCertificate
 
 
 def _map(drive: Drive, law: JointGains, config: ControllerConfig) -> IndexMap:
-    from dashpot.commands.certify_plots import gain_map
+    from dashpot.certify.plots import gain_map
 
     be_nice()
     return gain_map(drive, law, config, POINTS, tried=TRIED)
@@ -160,7 +161,7 @@ class Certifier:
 
     def plane(self, law: Law, config: ControllerConfig) -> Plane:
         """Map and window of a joint; the window is computed here, in milliseconds."""
-        from dashpot.commands.certify_plots import damping_ratio
+        from dashpot.certify.plots import damping_ratio
 
         drive = self._drives[law.name]
         inertia = np.maximum(LOADS * drive.rotor_inertia, drive.link_inertia)

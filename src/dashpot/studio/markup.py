@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from dashpot.certify.certificate import ASSUMED
 from dashpot.certify.map import IndexMap
-from dashpot.sampled import Floats
 from dashpot.studio.margins import Margin, Plane
 from dashpot.studio.snapshot import Snapshot
+from dashpot.support.arrays import Floats
 
 BLUE, VERMILLION, GREEN, GREY, ORANGE = "#0072B2", "#D55E00", "#009E73", "#7A7A7A", "#B87500"
 SIGN = {"certified": ("✓", BLUE), "checking": ("…", GREY), "not certified": ("✗", VERMILLION)}

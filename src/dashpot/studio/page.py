@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import viser
 
-from dashpot.controller import ControllerConfig
+from dashpot.arm.payload import Payload
+from dashpot.control.controller import ControllerConfig
 from dashpot.errors import DashpotError
-from dashpot.payload import Payload
 from dashpot.studio import markup
 from dashpot.studio.charts import Charts
 from dashpot.studio.panels.arm import ArmPanel

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 STIFFNESS, DAMPING = 150.0, 12.0  # [N/m], [N s/m]
 STRONGEST = 60.0  # [N]

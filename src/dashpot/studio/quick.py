@@ -12,14 +12,14 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from dashpot.arm.drive import Drive
 from dashpot.certify.box import at
 from dashpot.certify.certificate import block_of
 from dashpot.certify.exact import at_rest, unfit
 from dashpot.certify.index import FIRST_INTERVALS, settled
 from dashpot.certify.joint import Scales, holds_torque, sampled_joint
 from dashpot.certify.threads import one_thread
-from dashpot.controller import ControllerConfig, Law
-from dashpot.drive import Drive
+from dashpot.control.controller import ControllerConfig, Law
 
 GRID = np.concatenate([np.geomspace(1e-4, 0.08, 10), np.linspace(0.1, np.pi, 18)])
 

@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dashpot.sampled import Floats
-from dashpot.trajectory import Trajectory
+from dashpot.simulation.trajectory import Trajectory
+from dashpot.support.arrays import Floats
 
 SPEED = 0.8  # [rad/s] that a move reaches at most, unless it begins faster
 SHORTEST = 0.8  # [s] of a move

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dashpot.recording import CHANNELS
-from dashpot.sampled import Floats
+from dashpot.simulation.recording import CHANNELS
 from dashpot.studio.live import Window
+from dashpot.support.arrays import Floats
 
 
 class Past(NamedTuple):
@@ -17,7 +17,7 @@ class Past(NamedTuple):
 
     Attributes:
         time: (k,) [s].
-        record: `dashpot.recording.CHANNELS` x k x n.
+        record: `dashpot.simulation.recording.CHANNELS` x k x n.
         reference: (k, n) [rad].
         external: Torque on the links, (k, n) [N m].
         status: (k,).

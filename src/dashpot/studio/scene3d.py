@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 import viser
 
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 GHOST, GHOST_OPACITY = (213, 94, 0), 0.35  # the rival: vermillion, and transparent
 THINNER = 0.003  # [m] by which a ghost is thinner: where it stands in the arm, the arm hides it

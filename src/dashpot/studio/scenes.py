@@ -11,15 +11,15 @@ from functools import partial
 
 import numpy as np
 
-from dashpot.controller import load_controller
-from dashpot.payload import Payload
-from dashpot.robot import Robot
-from dashpot.studies.fig6 import TAP_AT, TAP_TIME, TAP_TORQUE, towards_parallel
-from dashpot.studies.setup import AMPLITUDE, BEAM_MASS, OFFSET, PERIOD, POUND, RELEASE, Setup, on_beam
+from dashpot.arm.payload import Payload
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import load_controller
+from dashpot.paper.fig6 import TAP_AT, TAP_TIME, TAP_TORQUE, towards_parallel
+from dashpot.paper.setup import AMPLITUDE, BEAM_MASS, OFFSET, PERIOD, POUND, RELEASE, Setup, on_beam
+from dashpot.simulation.trajectory import multisine
 from dashpot.studio.choices import rival_of
 from dashpot.studio.references import Play, Wander
 from dashpot.studio.session import Session
-from dashpot.trajectory import multisine
 
 SEED = 0
 LONG = 60.0  # [s] of motion that is prepared

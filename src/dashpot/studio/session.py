@@ -11,11 +11,11 @@ import math
 import mujoco
 import numpy as np
 
-from dashpot.controller import TORQUE_LIMITED
-from dashpot.sampled import Floats
+from dashpot.control.controller import TORQUE_LIMITED
 from dashpot.studio.ring import Past
 from dashpot.studio.snapshot import News, Snapshot
 from dashpot.studio.told import Told
+from dashpot.support.arrays import Floats
 
 LIMITED_FOR = 0.5  # [s] for which a torque limit that was reached is told
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dashpot.sampled import Floats
 from dashpot.studio.energy import Energy
+from dashpot.support.arrays import Floats
 
 
 @dataclass(frozen=True)

@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.controller import ControllerConfig, Mode
+from dashpot.arm.plant import build
+from dashpot.control.controller import ControllerConfig, Mode
+from dashpot.control.supervisor import SupervisorSettings
 from dashpot.errors import InputError
-from dashpot.faults import Fault, FaultKind
-from dashpot.plant import build
-from dashpot.release import release_events
-from dashpot.sampled import Floats
+from dashpot.simulation.faults import Fault, FaultKind
+from dashpot.simulation.release import release_events
 from dashpot.studio.arms import Arms, quiet
 from dashpot.studio.choices import POUND, carriable
 from dashpot.studio.live import LiveArm
 from dashpot.studio.push import Push
 from dashpot.studio.references import Reference, go_to, wander
-from dashpot.supervisor import SupervisorSettings
-from dashpot.tables import as_float
+from dashpot.support.arrays import Floats
+from dashpot.support.tables import as_float
 
 MOST_AMPLITUDE = 1.0  # [rad] of a motion about a pose
 

@@ -14,18 +14,18 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from dashpot.arm.payload import Payload
+from dashpot.arm.plant import build, load_spec
+from dashpot.arm.robot import Robot
 from dashpot.errors import InputError
-from dashpot.faults import Fault
 from dashpot.hardware.franka_server.limits import Limits
 from dashpot.hardware.franka_server.messages import JOINTS, PERIOD, STATE
 from dashpot.hardware.franka_server.urdf import urdf
 from dashpot.hardware.plantlink import PlantLink
-from dashpot.payload import Payload
-from dashpot.plant import build, load_spec
-from dashpot.recording import Recording
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
-from dashpot.simulate import PayloadChange
+from dashpot.simulation.faults import Fault
+from dashpot.simulation.recording import Recording
+from dashpot.simulation.simulate import PayloadChange
+from dashpot.support.arrays import Floats
 
 RESERVE = 2.0  # motor torque over the limit of commands: gravity is added to them; assumed
 CREEP = 0.05  # [rad/s] below which friction is compensated in part only

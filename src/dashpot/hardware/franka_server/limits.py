@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from dashpot.hardware.franka_server.limits import Limits
 from dashpot.hardware.franka_server.messages import Reflex
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 ROUNDING = 1e-6  # [N m] by which a torque step may exceed the rule: the state is in single precision
 SPEED_MARGIN = 0.1  # [rad/s] above the limit at which the robot stops; assumed

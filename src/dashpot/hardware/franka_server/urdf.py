@@ -10,10 +10,10 @@ from xml.sax.saxutils import quoteattr
 import mujoco
 import numpy as np
 
+from dashpot.arm.robot import Robot
 from dashpot.errors import ModelError
 from dashpot.hardware.franka_server.limits import Limits
-from dashpot.robot import Robot
-from dashpot.sampled import Floats
+from dashpot.support.arrays import Floats
 
 
 def urdf(robot: Robot, rigid: Any, limits: Limits) -> str:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dashpot.controller import BUNDLED as CONTROLLERS
+from dashpot.arm.payload import Payload
+from dashpot.arm.robot import BUNDLED
+from dashpot.control.controller import BUNDLED as CONTROLLERS
 from dashpot.errors import DashpotError
-from dashpot.payload import Payload
-from dashpot.robot import BUNDLED
 from dashpot.studio.choices import CONTROLLER_OF, HEAVIEST, POUND
 from dashpot.studio.markup import block
 from dashpot.studio.panels.shared import Beside, NumberField, Settled, by_hand, in_hand, set_quietly
 from dashpot.studio.told import MOST_AMPLITUDE
-from dashpot.tables import unusual
+from dashpot.support.tables import unusual
 
 if TYPE_CHECKING:
     from dashpot.studio.page import Page

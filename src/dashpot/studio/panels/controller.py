@@ -6,12 +6,12 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING
 
-from dashpot.controller import BUNDLED, ControllerConfig, JointGains, load_controller
+from dashpot.control.controller import BUNDLED, ControllerConfig, JointGains, load_controller
 from dashpot.errors import DashpotError
 from dashpot.studio import markup
 from dashpot.studio.panels.design import DesignFolder
 from dashpot.studio.panels.shared import Beside, LogField, NumberField, by_hand, set_quietly
-from dashpot.tables import unusual
+from dashpot.support.tables import unusual
 
 if TYPE_CHECKING:
     from dashpot.studio.page import Page

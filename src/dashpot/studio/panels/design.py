@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from dashpot.commands.design_quantities import QUANTITIES, predicted_text
-from dashpot.controller import ControllerConfig
+from dashpot.arm.robot import Robot
+from dashpot.control.controller import ControllerConfig
 from dashpot.design.design import Design
+from dashpot.design.quantities import QUANTITIES, predicted_text
 from dashpot.errors import DashpotError
-from dashpot.robot import Robot
 from dashpot.studio.designer import PRESETS, Designer, specification, taken_over
 from dashpot.studio.markup import block, escaped
 from dashpot.studio.panels.shared import Beside, NumberField

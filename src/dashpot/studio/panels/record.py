@@ -81,7 +81,7 @@ class RecordPanel:
         robot = escaped(self._page.robot_name)
         words = {
             "controller.toml": f"dashpot certify {robot} {name}",
-            "recording.npz": f"dashpot.recording.Recording.load('{name}')",
+            "recording.npz": f"dashpot.simulation.recording.Recording.load('{name}')",
             "replay.html": "",
         }.get(name, f"dashpot plot {name}")
         return f"{name}: <code>{words}</code>" if words else f"{name}: open it in any browser, offline too"

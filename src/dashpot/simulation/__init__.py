@@ -1,0 +1,1 @@
+"""The closed loop in time: trajectories, faults, scenarios, recordings."""

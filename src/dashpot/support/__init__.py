@@ -1,0 +1,1 @@
+"""What every room uses: tables of files, folders, reports, pictures, processes."""

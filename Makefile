@@ -127,6 +127,7 @@ figures: demo
 	$(BIN)/dashpot identify out/identify.csv --robot k807 --sampling average --joint joint6
 	cp out/identify/joint6.png docs/images/identify.png
 	$(BIN)/python -m dashpot.studies.supervision docs/images/supervisor.png
+	$(BIN)/python -m dashpot.studies.architecture docs/images/architecture.png
 	$(BIN)/dashpot simulate fr3 fr3 --payload 2 --supervise --payload-at 1=4 --fault encoder_frozen:joint4@3 --duration 4 --log out/run.mcap
 	$(BIN)/dashpot plot out/run.mcap --joint joint4
 	cp out/plot/joint4.png docs/images/log.png

@@ -1,4 +1,8 @@
-/* The controller core in plain C: cc -std=c99 -I native examples/04_core.c native/dashpot_core.c */
+/* The controller core in plain C.
+ *
+ *   cc -std=c99 -Wall -Werror -I native examples/04_core.c native/dashpot_core.c -o core
+ *   ./core
+ */
 #include <math.h>
 #include <stdio.h>
 

@@ -6,7 +6,7 @@ NATIVE := $(wildcard native/* native/lanes/*) CMakeLists.txt pyproject.toml
 # An editable install knows the modules it was made with: one that comes or goes touches its folder.
 FOLDERS := $(shell find src -type d -not -name __pycache__)
 
-.PHONY: demo test lint bench studio clean \
+.PHONY: demo test lint bench studio dist clean \
         evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms \
         evidence-readiness evidence-export evidence-franka evidence-studio evidence-lanes
 
@@ -23,6 +23,13 @@ lint: $(VENV)/.test
 
 bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/bench.py --check
+
+# The source distribution, and from it this machine's wheel, in dist/.
+dist: $(VENV)/.dist
+	rm -rf dist
+	$(BIN)/python -m build
+	$(BIN)/python -m twine check --strict dist/*
+	$(BIN)/check-wheel-contents dist/*.whl
 
 # The live arm in the browser: `make studio ARGS="fr3 --payload 2"`.
 studio: $(VENV)/.studio
@@ -114,8 +121,12 @@ $(VENV)/.bench: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	touch $@
 
+$(VENV)/.dist: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dist]'
+	touch $@
+
 clean:
-	rm -rf $(VENV) build out
+	rm -rf $(VENV) build dist out
 
 # Pictures of the README, from the code as it is.
 figures: demo

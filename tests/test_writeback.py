@@ -7,6 +7,7 @@ import tomllib
 import numpy as np
 import pytest
 
+import dashpot
 from dashpot.arm.robot import Robot
 from dashpot.errors import InputError
 from dashpot.identify.estimate import DriveEstimate, Estimate, Fit
@@ -132,7 +133,7 @@ def test_provenance_is_readable_by_people_and_programs_and_replaced_not_stacked(
         "log": "in memory",
         "sha256": "ab" * 32,
         "date": drive.identified["date"],
-        "dashpot": "0.1.0",
+        "dashpot": dashpot.__version__,
         "samples": 1234,
         "confidence": 0.95,
         "quantities": ["rotor_inertia"],

@@ -1,6 +1,8 @@
 """dashpot: virtual passive control for torque-sensed robot joints.
 
-The names below are imported on first use, so that ``import dashpot`` and ``dashpot --help`` stay fast.
+The names below are imported on first use, so that ``import dashpot`` and ``dashpot --help`` stay fast. Type
+checkers read ``__init__.pyi``, which has the same names. The version is that of the installed package:
+pyproject.toml alone states it.
 """
 
 from importlib import import_module
@@ -43,15 +45,16 @@ _HOMES = {
     "multisine": "simulation.trajectory",
 }
 
-__version__ = "0.1.0"
 __all__ = [*_HOMES]
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("importlib.metadata").version("dashpot")
     if name not in _HOMES:
         raise AttributeError(f"module 'dashpot' has no attribute {name!r}")
     return getattr(import_module(f"dashpot.{_HOMES[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOMES])
+    return sorted([*globals(), "__version__", *_HOMES])

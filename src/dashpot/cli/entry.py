@@ -14,7 +14,6 @@ from typing import Annotated, Any, Union
 
 import tyro
 
-from dashpot import __version__
 from dashpot.cli.overview import COMMANDS, overview
 from dashpot.errors import DashpotError, InputError, InputWarning
 
@@ -25,6 +24,8 @@ def parse(arguments: Sequence[str]) -> Any:
         print(overview())
         sys.exit(0 if arguments else 2)
     if arguments[0] == "--version":
+        from dashpot import __version__
+
         print(f"dashpot {__version__}")
         sys.exit(0)
     if not arguments[0].startswith("-") and arguments[0] not in COMMANDS:

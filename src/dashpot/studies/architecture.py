@@ -19,6 +19,8 @@ TOGETHER = {"cli": "commands"}
 """Two halves of one room: what can be typed, and what it does."""
 SMALL = {"errors": "support"}
 """Modules beside the rooms, and the room they are counted with."""
+HOMES: dict[str, str] = vars(dashpot)["_HOMES"]
+"""Public names, and the modules that they are from."""
 WORDS = {
     "native C and C++": "controller step, supervisor,\nrunner, faults, vectorised arm",
     "support": "errors, TOML tables,\nfolders, plots, processes",
@@ -51,8 +53,8 @@ def imports(root: Path) -> dict[str, set[str]]:
         own = found.setdefault(room, set())
         for name in _imported(ast.parse(path.read_text())):
             parts = name.split(".")
-            if parts[0] == "dashpot" and parts[-1] in dashpot._HOMES and len(parts) == 2:  # public names
-                parts = ["dashpot", *dashpot._HOMES[parts[1]].split(".")]
+            if parts[0] == "dashpot" and parts[-1] in HOMES and len(parts) == 2:  # public names
+                parts = ["dashpot", *HOMES[parts[1]].split(".")]
             if parts[0] == "dashpot" and (other := _room(tuple(parts[1:]))) not in (None, room):
                 own.add(str(other))
     return found

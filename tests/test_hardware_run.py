@@ -465,6 +465,7 @@ def test_a_log_that_was_cut_off_is_said(tmp_path):
     process = subprocess.Popen([*command, *means], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     end = time.monotonic() + 60
     while not (log.exists() and log.stat().st_size > 4000) and time.monotonic() < end:
+        assert process.poll() is None, "".join(process.communicate())
         time.sleep(0.02)  # until rows are in it: the run has begun
     os.kill(child_of(process.pid, b"dashpot.hardware.scribe"), signal.SIGKILL)
     out, _ = process.communicate(timeout=120)

@@ -6,7 +6,7 @@ NATIVE := $(wildcard native/* native/lanes/*) CMakeLists.txt pyproject.toml
 # An editable install knows the modules it was made with: one that comes or goes touches its folder.
 FOLDERS := $(shell find src -type d -not -name __pycache__)
 
-.PHONY: demo test lint bench studio clean \
+.PHONY: demo test lint bench studio docs clean \
         evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms \
         evidence-readiness evidence-export evidence-franka evidence-studio evidence-lanes
 
@@ -27,6 +27,10 @@ bench: $(VENV)/.bench
 # The live arm in the browser: `make studio ARGS="fr3 --payload 2"`.
 studio: $(VENV)/.studio
 	$(BIN)/dashpot studio $(ARGS)
+
+# These pages as a site that needs no network: open out/site/index.html.
+docs: $(VENV)/.docs
+	$(BIN)/mkdocs build --quiet --strict
 
 # About three minutes: the search for the gains of Fig. 6 (b).
 evidence-fig6: $(VENV)/.installed
@@ -110,6 +114,10 @@ $(VENV)/.studio: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[studio]'
 	touch $@
 
+$(VENV)/.docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $@
+
 $(VENV)/.bench: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	touch $@
@@ -117,7 +125,7 @@ $(VENV)/.bench: $(VENV)/.installed
 clean:
 	rm -rf $(VENV) build out
 
-# Pictures of the README, from the code as it is.
+# Pictures of the README and of the pages, from the code as it is.
 figures: demo
 	cp out/paper/fig5.png docs/images/
 	-$(BIN)/dashpot certify k807 k807-resonant --out out/certify

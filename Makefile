@@ -30,7 +30,7 @@ studio: $(VENV)/.studio
 
 # These pages as a site that needs no network: open out/site/index.html.
 docs: $(VENV)/.docs
-	$(BIN)/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 # About three minutes: the search for the gains of Fig. 6 (b).
 evidence-fig6: $(VENV)/.installed
@@ -138,6 +138,27 @@ figures: demo
 	$(BIN)/dashpot simulate fr3 fr3 --payload 2 --supervise --payload-at 1=4 --fault encoder_frozen:joint4@3 --duration 4 --log out/run.mcap
 	$(BIN)/dashpot plot out/run.mcap --joint joint4
 	cp out/plot/joint4.png docs/images/log.png
+	$(BIN)/python -m dashpot.studies.vpc_pictures
+	$(BIN)/dashpot map fr3 fr3 --joint joint2
+	cp out/map/joint2.png docs/images/map.png
+	$(MAKE) figures-tutorial
 	$(MAKE) $(VENV)/.test
 	$(BIN)/python -m dashpot.studies.studio_pictures --only scene controller faults
 .PHONY: figures
+
+# The commands of docs/tutorial.md up to its second picture.
+figures-tutorial: DASHPOT = cd out/tutorial && $(abspath $(BIN)/dashpot)
+figures-tutorial: $(VENV)/.installed
+	rm -rf out/tutorial && mkdir -p out/tutorial && cp examples/own_* out/tutorial
+	$(DASHPOT) excite own_arm.toml --controller own_gains.toml --payload 1 --offset 0.3
+	$(DASHPOT) simulate own_arm_true.toml own_gains.toml --payload 1 --offset 0.3 --motion out/excite/motion.csv --log log.mcap
+	$(DASHPOT) identify log.mcap --robot own_arm.toml
+	cp out/tutorial/out/identify/shoulder.png docs/images/tutorial-identify.png
+	sed 's#../../own_arm.xml#own_arm.xml#; s#\(stiffness = 0.[0-9]*\) }#\1, damping = 0.5 }\ntorque_noise = 0.03#' \
+	  out/tutorial/out/identify/own_arm.toml > out/tutorial/my_arm.toml
+	$(DASHPOT) design my_arm.toml track --payload 3 --offset 0.3
+	$(DASHPOT) simulate my_arm.toml out/design/controller.toml --payload 3 --offset 0.3 \
+	  --fault encoder_frozen:elbow@2 --supervise --log fault.mcap
+	$(DASHPOT) plot fault.mcap --joint elbow
+	cp out/tutorial/out/plot/elbow.png docs/images/tutorial-fault.png
+.PHONY: figures-tutorial

@@ -17,7 +17,7 @@ import pytest
 import tyro
 
 import dashpot
-from dashpot.cli import Command
+from dashpot.cli import main
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -72,38 +72,45 @@ def test_links_lead_somewhere(page):
         assert not anchor or anchor in anchors(path), link
 
 
+class ParsedError(Exception):
+    """Takes the place of what a command would do."""
+
+
+@pytest.fixture
+def only_parsed(monkeypatch):
+    real = tyro.cli
+
+    def cli(*arguments, **options):
+        real(*arguments, **options)
+        raise ParsedError
+
+    monkeypatch.setattr(tyro, "cli", cli)
+
+
 @pages
-def test_commands_parse(page, capsys):
+def test_commands_parse(page, only_parsed, capsys):
     for line in commands(page.read_text(encoding="utf-8")):
         words = shlex.split(line, comments=True)
         ends = [i for i, word in enumerate(words) if word in ("|", "&", "&&", ";", ">", "2>")]
-        words = words[: ends[0]] if ends else words
         try:
-            tyro.cli(Command, prog="dashpot", args=words)
+            main(words[: ends[0]] if ends else words)
+        except ParsedError:
+            continue
         except SystemExit:
             pytest.fail(f"dashpot {line}\n{capsys.readouterr().err}")
 
 
-@functools.cache
-def flags(command: str) -> set[str]:
-    """The flags of a command of dashpot, from its help."""
-    done = subprocess.run(
-        [sys.executable, "-m", "dashpot.cli", command, "--help"], capture_output=True, text=True, check=True
-    )
-    return set(re.findall(r"--[a-z][a-z-]*", done.stdout))
-
-
-def test_commands_and_flags_in_the_text_exist():
-    said = {
-        (command, flag)
-        for page in PAGES
-        for code in re.findall(r"`dashpot ([a-z][^`]*)`", FENCE.sub("", page.read_text(encoding="utf-8")))
-        for command in [code.split()[0]]
-        for flag in ["--help", *re.findall(r"(?<=\s)--[a-z][a-z-]*", code)]
-    }
-    assert said
-    wrong = [f"{command} {flag}" for command, flag in sorted(said) if flag not in flags(command)]
-    assert not wrong
+def test_commands_and_flags_in_the_text_exist(capsys):
+    said = {}
+    for page in PAGES:
+        for code in re.findall(r"`dashpot ([a-z][^`]*)`", FENCE.sub("", page.read_text(encoding="utf-8"))):
+            said.setdefault(code.split()[0], set()).update(re.findall(r"(?<=\s)--[a-z][a-z-]*", code))
+    assert len(said) > 10
+    for command, flags in said.items():
+        with pytest.raises(SystemExit) as ended:
+            main([command, "--help"])
+        assert ended.value.code == 0, command
+        assert flags <= set(re.findall(r"--[a-z][a-z-]*", capsys.readouterr().out)), command
 
 
 @pages
@@ -129,14 +136,9 @@ def test_reference_is_complete():
     for name in said:
         module, _, attribute = name.rpartition(".")
         assert hasattr(importlib.import_module(module), attribute), name
-    known = {
-        getattr(importlib.import_module(n.rpartition(".")[0]), n.rpartition(".")[2])
-        for n in said
-        if n != "dashpot.laws.LAWS"
-    }
-    missing = [n for n in dashpot.__all__ if n != "LAWS" and getattr(dashpot, n) not in known]
-    assert not missing
-    assert "dashpot.laws.LAWS" in said
+    places = [name.rpartition(".") for name in said]
+    known = {id(getattr(importlib.import_module(module), name)) for module, _, name in places}
+    assert [name for name in dashpot.__all__ if id(getattr(dashpot, name)) not in known] == []
 
 
 @pytest.mark.skipif(not find_spec("mkdocs") or not find_spec("mkdocstrings_handlers"), reason="extra docs")
@@ -154,7 +156,7 @@ def test_site_builds_and_needs_no_network(tmp_path):
         assert page.relative_to(DOCS).with_suffix(".html").as_posix() in built
     assert "search/search_index.js" in built
     for name in sorted(built):
-        if not name.endswith(".html"):
+        if not name.endswith(".html") or name == "404.html":  # that one is for servers
             continue
         text = (site / name).read_text(encoding="utf-8")
         for tag in re.findall(r"<(?:script|link|img|iframe|source)\b[^>]*>", text):

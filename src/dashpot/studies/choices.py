@@ -38,6 +38,9 @@ GAINS: tuple[tuple[str, dict[str, float]], ...] = (
     ("kp x 30", {"kp": 30.0}),
     ("kd x 0.3", {"kd": 0.3}),
     ("kd x 3", {"kd": 3.0}),
+    ("kp x 3, kd x 3", {"kp": 3.0, "kd": 3.0}),
+    ("R x 3, D x 3", {"R": 3.0, "D": 3.0}),
+    ("R x 3, D x 3, kd x 3", {"R": 3.0, "D": 3.0, "kd": 3.0}),
 )
 SPRINGS = (4.0, 20.0, 100.0)  # [N m/rad], K
 MEANS: tuple[tuple[str, dict[str, Any]], ...] = (

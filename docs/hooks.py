@@ -1,9 +1,10 @@
-"""Links from the pages to files of the repository outside docs/, for MkDocs.
+"""What MkDocs does otherwise than git hosts: links to files outside docs/, and bars in the code of a table.
 
 A page links to ``../examples/own_hardware.py`` as a git host wants it. In the site that file becomes a page
 of its own, ``files/examples/own_hardware.html``, made here, and the link points there.
 """
 
+import html
 import posixpath
 import re
 from pathlib import Path
@@ -12,6 +13,7 @@ from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parent.parent
 LINK = re.compile(r"(?<=\]\()((?:\.\./)+[^)#\s]+)(?=[)#])")
+BARRED = re.compile(r"`([^`\n]*\\\|[^`\n]*)`")
 LANGUAGE = {".py": "python", ".toml": "toml", ".xml": "xml", ".c": "c", ".h": "c", ".json": "json"}
 
 
@@ -30,15 +32,15 @@ def on_files(files, config):
         }
     for path in sorted(found):
         text = (ROOT / path).read_text(encoding="utf-8")
-        body = (
-            f"# {path.name}\n\n`{path.as_posix()}`\n\n````{LANGUAGE.get(path.suffix, 'text')}\n{text}````\n"
-        )
+        language = LANGUAGE.get(path.suffix, "text")
+        head = f"---\nsearch:\n  exclude: true\n---\n\n# {path.name}\n\n`{path.as_posix()}`\n\n"
+        body = f"{head}````{language}\n{text}````\n"
         files.append(File.generated(config, f"files/{path.as_posix()}.md", content=body))
     return files
 
 
 def on_page_markdown(markdown, page, config, files):
-    """Turns such links round to those pages."""
+    """Turns such links round to those pages; a table's ``\\|`` within code is a bar without its backslash."""
     here = page.file.src_uri
 
     def turned(match):
@@ -47,4 +49,7 @@ def on_page_markdown(markdown, page, config, files):
             return match[1]
         return posixpath.relpath(f"files/{path.as_posix()}.md", posixpath.dirname(here) or ".")
 
-    return LINK.sub(turned, markdown)
+    def shown(match):
+        return f"<code>{html.escape(match[1]).replace(chr(92) + '|', '&#124;')}</code>"
+
+    return BARRED.sub(shown, LINK.sub(turned, markdown))

@@ -148,7 +148,7 @@ figures: demo
 
 # The commands of docs/tutorial.md up to its second picture.
 figures-tutorial: DASHPOT = cd out/tutorial && $(abspath $(BIN)/dashpot)
-figures-tutorial: $(VENV)/.installed
+figures-tutorial: $(VENV)/.test
 	rm -rf out/tutorial && mkdir -p out/tutorial && cp examples/own_* out/tutorial
 	$(DASHPOT) excite own_arm.toml --controller own_gains.toml --payload 1 --offset 0.3
 	$(DASHPOT) simulate own_arm_true.toml own_gains.toml --payload 1 --offset 0.3 --motion out/excite/motion.csv --log log.mcap

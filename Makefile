@@ -6,7 +6,7 @@ NATIVE := $(wildcard native/* native/lanes/*) CMakeLists.txt pyproject.toml
 # An editable install knows the modules it was made with: one that comes or goes touches its folder.
 FOLDERS := $(shell find src -type d -not -name __pycache__)
 
-.PHONY: demo test lint bench studio dist clean \
+.PHONY: demo test lint bench studio dist docs clean \
         evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms \
         evidence-readiness evidence-export evidence-franka evidence-studio evidence-lanes
 
@@ -34,6 +34,10 @@ dist: $(VENV)/.dist
 # The live arm in the browser: `make studio ARGS="fr3 --payload 2"`.
 studio: $(VENV)/.studio
 	$(BIN)/dashpot studio $(ARGS)
+
+# These pages as a site that needs no network: open out/site/index.html.
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 # About three minutes: the search for the gains of Fig. 6 (b).
 evidence-fig6: $(VENV)/.installed
@@ -117,6 +121,10 @@ $(VENV)/.studio: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[studio]'
 	touch $@
 
+$(VENV)/.docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $@
+
 $(VENV)/.bench: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	touch $@
@@ -128,7 +136,7 @@ $(VENV)/.dist: $(VENV)/.installed
 clean:
 	rm -rf $(VENV) build dist out
 
-# Pictures of the README, from the code as it is.
+# Pictures of the README and of the pages, from the code as it is.
 figures: demo
 	cp out/paper/fig5.png docs/images/
 	-$(BIN)/dashpot certify k807 k807-resonant --out out/certify
@@ -142,6 +150,27 @@ figures: demo
 	$(BIN)/dashpot simulate fr3 fr3 --payload 2 --supervise --payload-at 1=4 --fault encoder_frozen:joint4@3 --duration 4 --log out/run.mcap
 	$(BIN)/dashpot plot out/run.mcap --joint joint4
 	cp out/plot/joint4.png docs/images/log.png
+	$(BIN)/python -m dashpot.studies.vpc_pictures
+	$(BIN)/dashpot map fr3 fr3 --joint joint2
+	cp out/map/joint2.png docs/images/map.png
+	$(MAKE) figures-tutorial
 	$(MAKE) $(VENV)/.test
 	$(BIN)/python -m dashpot.studies.studio_pictures --only scene controller faults
 .PHONY: figures
+
+# The commands of docs/tutorial.md up to its second picture.
+figures-tutorial: DASHPOT = cd out/tutorial && $(abspath $(BIN)/dashpot)
+figures-tutorial: $(VENV)/.test
+	rm -rf out/tutorial && mkdir -p out/tutorial && cp examples/own_* out/tutorial
+	$(DASHPOT) excite own_arm.toml --controller own_gains.toml --payload 1 --offset 0.3
+	$(DASHPOT) simulate own_arm_true.toml own_gains.toml --payload 1 --offset 0.3 --motion out/excite/motion.csv --log log.mcap
+	$(DASHPOT) identify log.mcap --robot own_arm.toml
+	cp out/tutorial/out/identify/shoulder.png docs/images/tutorial-identify.png
+	sed 's#../../own_arm.xml#own_arm.xml#; s#\(stiffness = 0.[0-9]*\) }#\1, damping = 0.5 }\ntorque_noise = 0.03#' \
+	  out/tutorial/out/identify/own_arm.toml > out/tutorial/my_arm.toml
+	$(DASHPOT) design my_arm.toml track --payload 3 --offset 0.3
+	$(DASHPOT) simulate my_arm.toml out/design/controller.toml --payload 3 --offset 0.3 \
+	  --fault encoder_frozen:elbow@2 --supervise --log fault.mcap
+	$(DASHPOT) plot fault.mcap --joint elbow
+	cp out/tutorial/out/plot/elbow.png docs/images/tutorial-fault.png
+.PHONY: figures-tutorial

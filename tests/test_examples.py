@@ -38,3 +38,12 @@ def test_examples_are_numbered_and_short():
     assert numbers == list(range(1, len(EXAMPLES) + 1))
     for path in (ROOT / "examples").iterdir():
         assert len(path.read_text().splitlines()) < 60, path.name
+
+
+def test_the_program_of_the_readme_runs(tmp_path):
+    text = (ROOT / "README.md").read_text()
+    program = re.search(r"```python\n(.*?)```", text, re.S)[1]
+    assert len(program.splitlines()) <= 10
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[0] == "True"

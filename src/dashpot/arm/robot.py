@@ -79,7 +79,7 @@ class Robot:
         """Reads a robot TOML, or a bundled arm by name (`BUNDLED`).
 
         Args:
-            source: Path of a TOML file (see README, "Files"), or "k807", "fr3", "iiwa14".
+            source: Path of a TOML file (docs/files.md), or "k807", "fr3", "iiwa14".
 
         Raises:
             InputError: Naming file, joint, key, value and rule.

@@ -100,7 +100,7 @@ class ControllerConfig:
 
     @classmethod
     def load(cls, path: str | Path) -> ControllerConfig:
-        """Reads a controller TOML (see README, "Files").
+        """Reads a controller TOML (docs/files.md).
 
         Raises:
             InputError: Naming file, joint, key, value and rule.

@@ -19,6 +19,7 @@ TOGETHER = {"cli": "commands"}
 """Two halves of one room: what can be typed, and what it does."""
 SMALL = {"errors": "support"}
 """Modules beside the rooms, and the room they are counted with."""
+WIDE = 2.15  # from box to box
 HOMES: dict[str, str] = vars(dashpot)["_HOMES"]
 """Public names, and the modules that they are from."""
 WORDS = {
@@ -132,13 +133,14 @@ def draw(edges: Mapping[str, set[str]]) -> Figure:
 
         row = sorted(rows[floor], key=lambda room: (middle(room), room))
         for i, room in enumerate(row):
-            at[room] = (i - (len(row) - 1) / 2) * 2.15, 1.25 * floor
+            at[room] = (i - (len(row) - 1) / 2) * WIDE, 1.25 * floor
     figure, axes = new_figure(1, 1, 11.5, 1.05 * len(rows) + 0.4)
     axis = axes[0, 0]
     axis.set_axis_off()
     for room, to in straight.items():
         for other in to:
-            _arrow(axis, at[room], at[other])
+            past = level[room] - level[other] > 1
+            _arrow(axis, at[room], at[other], len(rows[level[room] - 1]) if past else 0)
     for room, (x, y) in at.items():
         _box(axis, room, x, y)
     width = max(abs(x) for x, _ in at.values()) + 1.1
@@ -147,7 +149,14 @@ def draw(edges: Mapping[str, set[str]]) -> Figure:
     return figure
 
 
-def _arrow(axis: Any, start: tuple[float, float], end: tuple[float, float]) -> None:
+def _arrow(axis: Any, start: tuple[float, float], end: tuple[float, float], passed: int) -> None:
+    """From a box to one below it; past a row of so many boxes through the gap that is nearest."""
+    if passed:
+        shift = 0.5 if passed % 2 else 0.0
+        gap = WIDE * (round((start[0] + end[0]) / 2 / WIDE - shift) + shift)
+        top, low = start[1] - 0.74, start[1] - 1.76
+        axis.plot([start[0], gap, gap], [start[1] - 0.36, top, low], color=GREY, lw=0.8, zorder=1)
+        start = gap, low + 0.36
     style = {"arrowstyle": "-|>", "color": GREY, "lw": 0.8, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 9}
     axis.annotate("", (end[0], end[1] + 0.36), (start[0], start[1] - 0.36), arrowprops=style, zorder=1)
 

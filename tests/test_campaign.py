@@ -109,7 +109,7 @@ def same_files(a: Path, b: Path) -> bool:
 
 def command(*arguments, **options):
     return subprocess.Popen(
-        [sys.executable, "-m", "dashpot.cli", *map(str, arguments)],
+        [sys.executable, "-m", "dashpot", *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -269,7 +269,7 @@ def test_every_wish_and_mean_has_a_flag(here):
 def test_ctrl_c_leaves_no_process_and_no_folder(here):
     """To the whole group, as a terminal does it, while two workers search."""
     started = subprocess.Popen(
-        [sys.executable, "-m", "dashpot.cli", "design", "k807", "track", "--workers", "2"],
+        [sys.executable, "-m", "dashpot", "design", "k807", "track", "--workers", "2"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

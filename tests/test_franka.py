@@ -233,7 +233,7 @@ def test_errors_say_what_to_do(robot, monkeypatch):
 
 def test_the_command_ends_cleanly_and_refuses_clearly(host, tmp_path):
     def command(*options):
-        line = [sys.executable, "-m", "dashpot.cli", "franka-server", *options]
+        line = [sys.executable, "-m", "dashpot", "franka-server", *options]
         return subprocess.run(line, capture_output=True, text=True, timeout=60)
 
     taken = command("--host", host)

@@ -509,7 +509,7 @@ def test_a_signal_asks_for_a_stop_and_a_second_one_does_not_wait(tmp_path, numbe
 def test_a_killed_host_leaves_an_arm_at_rest(tmp_path):
     arguments, log, record = long_run(tmp_path)
     process = subprocess.Popen(
-        [sys.executable, "-m", "dashpot.cli", *arguments], stdout=subprocess.DEVNULL, start_new_session=True
+        [sys.executable, "-m", "dashpot", *arguments], stdout=subprocess.DEVNULL, start_new_session=True
     )
     until_it_moves(log)
     process.kill()

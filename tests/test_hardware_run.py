@@ -431,7 +431,7 @@ def test_on_a_terminal_it_keeps_a_line_that_is_gone_at_the_end():
     """A real terminal: what draws on it must not swallow what the processes say to each other."""
     pty = pytest.importorskip("pty")
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "dashpot.cli", "run", "k807", "k807-wrist", "--uncertified"]
+    command = [sys.executable, "-m", "dashpot", "run", "k807", "k807-wrist", "--uncertified"]
     lenient = ("--samples", "50", "--duration", "1")
     process = subprocess.Popen([*command, *lenient], stdin=theirs, stdout=subprocess.PIPE, stderr=theirs)
     os.close(theirs)
@@ -460,7 +460,7 @@ def child_of(parent: int, named: bytes) -> int:
 def test_a_log_that_was_cut_off_is_said(tmp_path):
     """The run goes on without its log, and ends as a run does; its exit status tells."""
     log = tmp_path / "run.mcap"
-    command = [sys.executable, "-m", "dashpot.cli", "run", "k807", "k807-wrist", "--uncertified"]
+    command = [sys.executable, "-m", "dashpot", "run", "k807", "k807-wrist", "--uncertified"]
     means = ("--samples", "10", "--duration", "6", "--log", str(log))
     process = subprocess.Popen([*command, *means], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     end = time.monotonic() + 60

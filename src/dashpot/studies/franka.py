@@ -79,7 +79,7 @@ def serve(*options: str) -> Iterator[Served]:
     served = Served(host)
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "truth.npz"
-        command = [sys.executable, "-m", "dashpot.cli", "franka-server", "--host", host, "--log", str(log)]
+        command = [sys.executable, "-m", "dashpot", "franka-server", "--host", host, "--log", str(log)]
         process = subprocess.Popen(
             [*command, *options], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )

@@ -30,19 +30,19 @@ STAGES: dict[str, dict[str, type[Any]]] = {
 COMMANDS: dict[str, type[Any]] = {name: kind for stage in STAGES.values() for name, kind in stage.items()}
 """Every command by its name."""
 _FIRST = """
-dashpot simulate fr3 fr3 --payload 2     a bundled arm under its controller, with a picture
-dashpot certify fr3 fr3                  can any load or contact make its joints oscillate?
-dashpot design fr3 track --payload 3     gains of your own, certified
+dashpot simulate fr3 fr3 --payload 2   an arm under its controller, with a picture
+dashpot certify fr3 fr3                can any load or contact make it oscillate?
+dashpot design fr3 track --payload 3   gains of your own, certified
 """
-WIDEST = 100  # characters
+NARROWEST, WIDEST = 80, 100  # characters
 
 
 def overview() -> str:
     """The page: every command with a line, by stage."""
-    width = min(max(shutil.get_terminal_size().columns, 60), WIDEST)
+    width = min(max(shutil.get_terminal_size().columns, NARROWEST), WIDEST)
     indent = max(map(len, COMMANDS)) + 4
     lines = ["usage: dashpot COMMAND ... | dashpot COMMAND --help | dashpot --version", ""]
-    lines += ["Virtual passive control for torque-sensed robot joints: from a data sheet to the robot.", ""]
+    lines += ["Virtual passive control for torque-sensed robot joints.", ""]
     for stage, commands in STAGES.items():
         lines.append(stage)
         for name, kind in commands.items():
@@ -51,11 +51,8 @@ def overview() -> str:
             lines += [" " * indent + more for more in words[1:]]
         lines.append("")
     lines += ["To begin with", *(f"  {line}" for line in _FIRST.strip().splitlines())]
-    lines += [
-        "",
-        "ROBOT and CONTROLLER are TOML files or names of bundled ones; docs/ has guides to all of it.",
-    ]
-    lines += ["Exit status: 0 done, 1 the answer is no, 2 bad input."]
+    lines += ["", "ROBOT and CONTROLLER are TOML files or names of bundled ones."]
+    lines += ["Exit status: 0 done, 1 the answer is no, 2 bad input. Guides: docs/."]
     return "\n".join(lines)
 
 

@@ -30,8 +30,8 @@ STAGES: dict[str, dict[str, type[Any]]] = {
 COMMANDS: dict[str, type[Any]] = {name: kind for stage in STAGES.values() for name, kind in stage.items()}
 """Every command by its name."""
 _FIRST = """
-dashpot simulate fr3 fr3 --payload 2   an arm under its controller, with a picture
-dashpot certify fr3 fr3                can any load or contact make it oscillate?
+dashpot simulate fr3 fr3 --payload 2   an arm, its controller, a picture
+dashpot certify fr3 fr3                can any load make it oscillate?
 dashpot design fr3 track --payload 3   gains of your own, certified
 """
 NARROWEST, WIDEST = 80, 100  # characters

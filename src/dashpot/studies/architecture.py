@@ -15,10 +15,9 @@ import dashpot
 from dashpot.support.plots import BLUE, GREY, Figure, new_figure, save
 
 NATIVE = "native C and C++"
-TOGETHER = {"cli": "commands"}
-"""Two halves of one room: what can be typed, and what it does."""
-SMALL = {"errors": "support"}
-"""Modules beside the rooms, and the room they are counted with."""
+COMMANDS = "cli, commands"
+TOGETHER = {"cli": COMMANDS, "commands": COMMANDS, "errors": "support"}
+"""Two halves of one room, and what is no room of its own."""
 WIDE = 2.15  # from box to box
 HOMES: dict[str, str] = vars(dashpot)["_HOMES"]
 """Public names, and the modules that they are from."""
@@ -39,7 +38,7 @@ WORDS = {
     "identify": "logs to drives",
     "excite": "safe motions",
     "studio": "the arm in the browser",
-    "commands": "cli + commands: what can be typed",
+    COMMANDS: "what can be typed,\nand what it does",
     "studies": "evidence, benchmarks' cases, pictures",
 }
 
@@ -66,7 +65,7 @@ def _room(parts: tuple[str, ...]) -> str | None:
         return None  # the list of public names, and the command: they lead to the rooms
     if parts[0] == "_native":
         return NATIVE
-    return TOGETHER.get(parts[0]) or SMALL.get(parts[0]) or parts[0]
+    return TOGETHER.get(parts[0], parts[0])
 
 
 def _imported(tree: ast.AST) -> Iterator[str]:
@@ -168,10 +167,8 @@ def _box(axis: Any, room: str, x: float, y: float) -> None:
     axis.add_patch(
         FancyBboxPatch((x - 1.0, y - 0.36), 2.0, 0.72, shape, fc="white", ec=BLUE, lw=1.2, zorder=2)
     )
-    name = "cli, commands" if room == "commands" else room
-    axis.text(x, y + 0.17, name, ha="center", va="center", weight="bold", fontsize=9, zorder=3)
-    words = "what can be typed,\nand what it does" if room == "commands" else WORDS[room]
-    axis.text(x, y - 0.12, words, ha="center", va="center", fontsize=6.8, zorder=3, linespacing=1.15)
+    axis.text(x, y + 0.17, room, ha="center", va="center", weight="bold", fontsize=9, zorder=3)
+    axis.text(x, y - 0.12, WORDS[room], ha="center", va="center", fontsize=6.8, zorder=3, linespacing=1.15)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -127,7 +127,7 @@ def draw(edges: Mapping[str, set[str]]) -> Figure:
     for floor in sorted(rows):
         # Each above the middle of what it stands on.
         def middle(room: str) -> float:
-            below = [at[other][0] for other in straight[room] if other in at]
+            below = [at[other][0] for other in sorted(straight[room]) if other in at]
             return sum(below) / len(below) if below else 0.0
 
         row = sorted(rows[floor], key=lambda room: (middle(room), room))
@@ -137,7 +137,7 @@ def draw(edges: Mapping[str, set[str]]) -> Figure:
     axis = axes[0, 0]
     axis.set_axis_off()
     for room, to in straight.items():
-        for other in to:
+        for other in sorted(to):
             past = level[room] - level[other] > 1
             _arrow(axis, at[room], at[other], len(rows[level[room] - 1]) if past else 0)
     for room, (x, y) in at.items():

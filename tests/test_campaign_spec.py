@@ -9,7 +9,7 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dashpot.campaign.requirements import Requirement
@@ -155,6 +155,7 @@ def test_chunks_are_runs_of_indices_that_tile_the_grid(shape, chunk):
     st.floats(0, 1),
     st.booleans(),
 )
+@example(1e-3, 10.0, 1.0, False)
 def test_a_range_maps_shares_in_order_and_stays_inside(low, ratio, share, log):
     kind = "log-uniform" if log else "uniform"
     spec = (

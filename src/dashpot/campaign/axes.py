@@ -96,7 +96,7 @@ class Axis:
             return min(int(self.low + math.floor(share * (self.high - self.low + 1))), int(self.high))
         if self.log:
             return min(self.low * math.exp(share * math.log(self.high / self.low)), self.high)
-        return self.low + share * (self.high - self.low)
+        return min(self.low + share * (self.high - self.low), self.high)  # may round beyond it
 
     def ends(self) -> tuple[Any, ...]:
         """Values at which a check of the axis suffices: the ends of numbers, or every name."""

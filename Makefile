@@ -71,7 +71,7 @@ evidence-rivals: $(VENV)/.installed
 evidence-rivals-arms: $(VENV)/.installed
 	$(BIN)/python -m dashpot.studies.rivals_arms
 
-# About ten minutes on two cores: every fault with every payload in every pose on the fr3, 10,080 scenarios.
+# About a minute on two cores: every fault with every payload in every pose on the fr3, 10,080 scenarios.
 # Goes on where it was stopped.
 evidence-readiness: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[campaign]'

@@ -14,7 +14,8 @@ demo: $(VENV)/.installed
 	$(BIN)/dashpot reproduce --out out/paper
 
 test: $(VENV)/.test lint
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto -m 'not alone'
+	$(BIN)/python -m pytest -n 0 -m alone
 
 lint: $(VENV)/.test
 	$(BIN)/ruff format --check .

@@ -427,6 +427,7 @@ def test_a_sample_starts_empty():
     assert np.isnan([sample.time, *sample.torque, *sample.in_effect]).all()
 
 
+@pytest.mark.alone
 def test_on_a_terminal_it_keeps_a_line_that_is_gone_at_the_end():
     """A real terminal: what draws on it must not swallow what the processes say to each other."""
     pty = pytest.importorskip("pty")
@@ -457,6 +458,7 @@ def child_of(parent: int, named: bytes) -> int:
     raise AssertionError(f"no process {named!r}")
 
 
+@pytest.mark.alone
 def test_a_log_that_was_cut_off_is_said(tmp_path):
     """The run goes on without its log, and ends as a run does; its exit status tells."""
     log = tmp_path / "run.mcap"

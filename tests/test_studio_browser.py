@@ -47,6 +47,7 @@ def visit() -> Iterator[tuple[Visitor, object, object]]:
         page.session.close()
 
 
+@pytest.mark.alone
 def test_a_visit(visit, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     """Load, slider, certificate, fault, push, guided scene, replay, a second tab: as a newcomer would."""
     visitor, page, browser = visit

@@ -8,7 +8,8 @@ FOLDERS := $(shell find src -type d -not -name __pycache__)
 
 .PHONY: demo test lint bench studio dist docs clean \
         evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms \
-        evidence-readiness evidence-export evidence-franka evidence-studio evidence-lanes
+        evidence-readiness evidence-export evidence-franka evidence-studio evidence-lanes \
+        evidence-reproduce evidence-bench
 
 demo: $(VENV)/.installed
 	$(BIN)/dashpot reproduce --out out/paper
@@ -39,6 +40,16 @@ studio: $(VENV)/.studio
 # These pages as a site that needs no network: open out/site/index.html.
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+
+# A minute: the relations of the paper's figures over ten seeds, what `make demo` shows.
+evidence-reproduce: $(VENV)/.installed
+	$(BIN)/dashpot reproduce --out out/paper
+	cp out/paper/results.json docs/evidence/reproduce.json
+
+# Some minutes on an idle machine: all speeds, as ratios within one run.
+evidence-bench: $(VENV)/.bench
+	$(BIN)/python benchmarks/bench.py --json docs/evidence/bench.json.part
+	mv docs/evidence/bench.json.part docs/evidence/bench.json
 
 # About three minutes: the search for the gains of Fig. 6 (b).
 evidence-fig6: $(VENV)/.installed

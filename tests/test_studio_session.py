@@ -20,7 +20,8 @@ from dashpot.simulation.simulate import Event, PayloadChange, Scenario, run
 from dashpot.simulation.trajectory import multisine
 from dashpot.studio.choices import RIVALS, rival_of
 from dashpot.studio.files import recording
-from dashpot.studio.live import LiveArm, equilibrium_state
+from dashpot.studio.handover import equilibrium_state
+from dashpot.studio.live import LiveArm
 from dashpot.studio.references import Hold, Move, Play, go_to, wander
 from dashpot.studio.ring import envelope
 from dashpot.studio.scenes import SCENES, play

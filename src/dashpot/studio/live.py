@@ -8,21 +8,18 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-import dashpot._native as _native
 from dashpot.arm.payload import Payload
-from dashpot.arm.plant import Plant, with_timestep
+from dashpot.arm.plant import Plant
 from dashpot.arm.robot import Robot
 from dashpot.control.controller import MODES, Controller, ControllerConfig, Mode
 from dashpot.control.sampled import (
-    IN_EFFECT,
     NW,
-    NX,
     POSITION,
     POSITION_REF,
     TORQUE,
@@ -39,40 +36,19 @@ from dashpot.simulation.faults import Fault
 from dashpot.simulation.loop import Loop, carry
 from dashpot.simulation.recording import CHANNELS
 from dashpot.simulation.release import tracking_events
-from dashpot.simulation.script import FAULT_DTYPE, fault_records, fault_rows, native_faults
+from dashpot.simulation.script import native_faults
 from dashpot.simulation.simulate import Scenario
 from dashpot.simulation.trajectory import Trajectory
+from dashpot.studio.failing import Failing
 from dashpot.studio.feedforward import Feedforward
-from dashpot.studio.push import Push
+from dashpot.studio.handover import hand_over, retuned
+from dashpot.studio.push import Push, Taps
 from dashpot.studio.references import Hold, Reference
+from dashpot.studio.refine import refined
+from dashpot.studio.window import Window
 from dashpot.support.arrays import Floats
 
 TRACK: State = "track"
-
-
-@dataclass(frozen=True)
-class Window:
-    """What happened at some ticks.
-
-    Attributes:
-        tick: The first one.
-        record: `dashpot.simulation.recording.CHANNELS` x ticks x joints.
-        reference: Position reference, (ticks, n) [rad].
-        external: Torque on the links, (ticks, n) [N m].
-        status: Or-ed controller statuses, (ticks,).
-        work: Done by the external torque [J].
-    """
-
-    tick: int
-    record: Floats
-    reference: Floats
-    external: Floats
-    status: NDArray[np.int32]
-    work: float
-
-    def last(self, channel: str) -> Floats:
-        """The newest row of a channel, (n,)."""
-        return np.asarray(self.record[CHANNELS.index(channel), -1])
 
 
 class LiveArm(Loop):
@@ -123,9 +99,8 @@ class LiveArm(Loop):
         self._feedforward = Feedforward(robot, config)
         self._since = 0
         self.push: Push | None = None
-        self._taps: list[tuple[int, int, int, float]] = []
-        self._ended: dict[int, bool] = {}  # place in the script -> whether it may be used again
-        self._streams = self._said = 0
+        self._taps = Taps()
+        self._said = 0
         self._frozen: Floats | None = None
         first = self._rows(np.zeros(1, np.int64))
         start = Trajectory(config.period, first[0], first[1], first[2], torque=first[3])
@@ -138,6 +113,7 @@ class LiveArm(Loop):
         )  # fmt: skip
         if self.faults is None:
             self.faults = native_faults((), plant, self.controller.joints, start, seed)
+        self._failing = Failing(self.faults, self.controller.joints, start, seed)
         self._supervisor = supervisor
         self._modes: dict[str, tuple[Mode, bool]] = {
             joint: ("active", True) for joint in self.controller.joints
@@ -230,7 +206,7 @@ class LiveArm(Loop):
     def tap(self, joint: int, torque: float, duration: float) -> None:
         """Knocks a link: an external torque [N m] for a duration [s]."""
         ticks = max(1, round(duration / self.config.period))
-        self._taps.append((self.tick, self.tick + ticks, joint, torque))
+        self._taps.give(self.tick, ticks, joint, torque)
 
     def set_mode(self, joint: str, mode: Mode, position_loop: bool) -> None:
         """Sets a joint off, to bypass (position loop only) or active, and its position loop on or off.
@@ -267,27 +243,8 @@ class LiveArm(Loop):
         controller = Controller.from_config(config, self.robot.drives)
         self._refuse_if_stopped()
         assert self.core is not None
-        old, new = self.core, _native.Core(controller.blocks.view(np.uint8))
-        inputs = self._inputs()
-        for i, name in enumerate(controller.joints):
-            mode, loop, command, in_effect, _, x = old.joint_state(i)
-            changed = controller.blocks[i] != self.controller.blocks[i]
-            if changed:
-                new.set_mode(i, MODES.index("bypass" if MODES[mode] != "bypass" else "off"))
-            new.set_mode(i, mode)  # what changes is faded in
-            new.set_position_loop(i, loop)
-            w = inputs[self.robot.index(name)].copy()
-            w[IN_EFFECT] = in_effect
-            if not loop:
-                w[POSITION:] = 0.0
-            state = equilibrium_state(controller.blocks[i], w) if changed else np.array(x)
-            new.preset(
-                i,
-                state,
-                min(
-                    max(command, -controller.blocks[i]["torque_limit"]), controller.blocks[i]["torque_limit"]
-                ),
-            )
+        inputs = self._inputs()[[self.robot.index(name) for name in controller.joints]]
+        new = retuned(self.core, self.controller, controller, inputs)
         self.config, self.controller, self.core = config, controller, new
         self.scenario = replace(self.scenario, controller=controller)
         self._feedforward = Feedforward(self.robot, config)
@@ -361,14 +318,10 @@ class LiveArm(Loop):
         weight = own.torque(np.array(self._data.qpos[self.plant.rotor_qpos])) * (1 if on else -1)
         inputs = self._inputs()
         for i, name in enumerate(self.controller.joints):
-            j, block = self.robot.index(name), self.controller.blocks[i]
+            j = self.robot.index(name)
             _, loop, _, in_effect, _, _ = self.core.joint_state(i)
-            w, limit = inputs[j].copy(), float(block["torque_limit"])
-            w[TORQUE] -= weight[j]
-            w[IN_EFFECT] = torque = min(max(in_effect - weight[j], -limit), limit)
-            if not loop:
-                w[POSITION:] = 0.0
-            self.core.preset(i, equilibrium_state(block, w), torque)
+            inputs[j, TORQUE] -= weight[j]
+            hand_over(self.core, i, self.controller.blocks[i], inputs[j], in_effect - weight[j], loop)
         if not on:
             self._drives["gravity"] = 0.0
         self.supervise(self._supervisor)
@@ -376,7 +329,7 @@ class LiveArm(Loop):
     def carry(self, loaded: Plant, payloads: Sequence[Payload]) -> None:
         """Carries other loads from now on, with a shorter time step where their plant needs one."""
         if loaded.timestep < self.plant.timestep * (1 - 1e-12):
-            self._refine(loaded.timestep)
+            self._plant = refined(self.plant, self._drives, loaded.timestep, self.config.period, self.tick)
         model = loaded.model
         if model.opt.timestep != self.plant.timestep:
             model = copy.copy(model)
@@ -391,38 +344,22 @@ class LiveArm(Loop):
         Raises:
             InputError: The fault does not fit the arm, or too many act at once.
         """
-        assert self.faults is not None
-        now = replace(fault, start=0.0, end=float("inf"))
-        rows = fault_rows(now, self.plant, self.controller.joints, self.scenario.trajectory)
-        rows = [
-            (kind, drive, self.tick, last, value, damping) for kind, drive, _, last, value, damping in rows
-        ]
-        free = [place for place, ended in self._ended.items() if ended]
-        places = [*free, *range(len(self._ended), _native.MAX_FAULTS)][: len(rows)]
-        if len(places) < len(rows):
-            raise InputError(
-                f"at most {_native.MAX_FAULTS} at a time, counting each joint", quantity="faults"
-            )
-        for place, record in zip(places, fault_records(rows, self.scenario.seed, self._streams), strict=True):
-            self.faults.put(place, record.reshape(1).view(np.uint8))
-            self._ended[place] = False
-        self._streams += len(rows)
-        return places
+        return self._failing.begin(fault, self.plant, self.tick)
 
     def end(self, places: Sequence[int]) -> None:
         """Ends what `begin` has begun."""
-        assert self.faults is not None
-        for place in places:
-            self.faults.put(place, np.zeros(1, FAULT_DTYPE).view(np.uint8))  # first = last: acts never
-            self._ended[place] = True
+        self._failing.end(places)
 
     def go_on(self, ticks: int) -> Window:
         """Runs some ticks."""
         assert self.faults is not None
         when = self.tick + np.arange(ticks)
         rows = np.ascontiguousarray(self._rows(when))
-        external = self._forces(when)
         n = rows.shape[2]
+        external = self._taps.torque(when, n)
+        if self.push is not None:
+            pushed = self.push.torque(self._model, self._data)[self.plant.rotor_dof]
+            external = (np.zeros((ticks, n)) if external is None else external) + pushed
         record = np.full((len(CHANNELS), ticks, n), np.nan)
         status = np.zeros(ticks, np.int32)
         origin = self.tick
@@ -460,17 +397,6 @@ class LiveArm(Loop):
         rows = self.reference.at(ticks - self._since)
         return self._feedforward.added(rows)
 
-    def _forces(self, ticks: NDArray[np.int64]) -> Floats | None:
-        self._taps = [tap for tap in self._taps if tap[1] > ticks[0]]
-        if self.push is None and not self._taps:
-            return None
-        external = np.zeros((len(ticks), len(self.robot.drives)))
-        for first, last, joint, torque in self._taps:
-            external[(ticks >= first) & (ticks < last), joint] += torque
-        if self.push is not None:
-            external += self.push.torque(self._model, self._data)[self.plant.rotor_dof]
-        return external
-
     def _inputs(self) -> Floats:
         """What every joint's law saw last, (n, NW); torque in effect left out."""
         window, inputs = self.window, np.zeros((len(self.robot.drives), NW))
@@ -484,24 +410,6 @@ class LiveArm(Loop):
         if self.state != TRACK:
             raise InputError("the supervisor has stopped the arm; resume first", joint=joint)
 
-    def _refine(self, timestep: float) -> None:
-        """Goes on from here with a shorter time step [s]."""
-        coarse, fine = self._plant, with_timestep(self._plant, timestep)
-        drives, h = self._drives, self.config.period
-        before, after = round(h / coarse.timestep), round(h / timestep)
-        # Of the drives only constants know of the step; their states are torques, but for two.
-        for name in fine.drives.dtype.names or ():
-            if (fine.drives[name] != coarse.drives[name]).any():
-                drives[name] = fine.drives[name]
-        drives["sum"] *= after / before  # of the torque over the steps of this period
-        for drive, was in zip(drives, coarse.drives["sensor_delay"], strict=True):
-            if was > 0:  # torques under way to the sensor, in places that the number of the step gives
-                oldest_first = drive["delay"][(self.tick * before + np.arange(was)) % was]
-                now = int(drive["sensor_delay"])
-                seen = np.interp(np.linspace(0, was - 1, now), np.arange(was), oldest_first)
-                drive["delay"][(self.tick * after + np.arange(now)) % now] = seen
-        self._plant = fine
-
     def _move_like(self, other: LiveArm) -> None:
         for name in ("qpos", "qvel", "qacc_warmstart"):
             getattr(self._data, name)[:] = getattr(other._data, name)
@@ -510,25 +418,6 @@ class LiveArm(Loop):
         assert other.core is not None
         inputs = other._inputs()
         for i, joint in enumerate(self.controller.joints):
-            w = inputs[self.robot.index(joint)].copy()
-            torque = float(other.window.last("in_effect")[self.robot.index(joint)])
-            limit = float(self.controller.blocks[i]["torque_limit"])
-            w[IN_EFFECT] = torque = min(max(np.nan_to_num(torque), -limit), limit)
-            self.core.preset(i, equilibrium_state(self.controller.blocks[i], w), torque)
-
-
-def equilibrium_state(block: NDArray[np.void], w: Floats) -> Floats:
-    """State of a block (NX,) that stays where it is under constant inputs w (NW,).
-
-    Where the inputs do not determine it, as an integrator's, it is the one whose torque is that in effect.
-    """
-    n = int(block["nx"])
-    state = np.zeros(NX)
-    if n == 0:
-        return state
-    system = np.vstack([np.eye(n) - block["A"][:n, :n], 1e-3 * block["C"][None, :n]])
-    wanted = np.append(block["B"][:n] @ w, 1e-3 * (w[IN_EFFECT] - block["D"] @ w))
-    if np.linalg.cond(system[:n]) < 1e9:
-        system, wanted = system[:n], wanted[:n]
-    state[:n] = np.linalg.lstsq(system, wanted, rcond=None)[0]
-    return state
+            j = self.robot.index(joint)
+            torque = float(np.nan_to_num(other.window.last("in_effect")[j]))
+            hand_over(self.core, i, self.controller.blocks[i], inputs[j], torque)

@@ -1,4 +1,4 @@
-"""A hand that pulls at a link: a soft, damped spring from a point of the arm to a point in space."""
+"""Hands on the links: one that pulls, a soft, damped spring to a point in space, and one that knocks."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from dashpot.support.arrays import Floats
 
@@ -57,3 +58,24 @@ class Push:
         size = float(np.linalg.norm(force))
         self.force = force * min(1.0, STRONGEST / size) if size > 0 else force
         return np.asarray(jacobian.T @ self.force)
+
+
+class Taps:
+    """Knocks on the links: external torques for some ticks each."""
+
+    def __init__(self) -> None:
+        self._given: list[tuple[int, int, int, float]] = []
+
+    def give(self, tick: int, ticks: int, joint: int, torque: float) -> None:
+        """A torque [N m] on a link for some ticks from one on."""
+        self._given.append((tick, tick + ticks, joint, torque))
+
+    def torque(self, ticks: NDArray[np.int64], n: int) -> Floats | None:
+        """On the n links at some ticks, (ticks, n) [N m]; None: no hand is there."""
+        self._given = [tap for tap in self._given if tap[1] > ticks[0]]
+        if not self._given:
+            return None
+        external = np.zeros((len(ticks), n))
+        for first, last, joint, torque in self._given:
+            external[(ticks >= first) & (ticks < last), joint] += torque
+        return external

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dashpot.simulation.recording import CHANNELS
-from dashpot.studio.live import Window
+from dashpot.studio.window import Window
 from dashpot.support.arrays import Floats
 
 

@@ -20,10 +20,10 @@ from dashpot.hardware.franka_server.limits import FR3
 from dashpot.hardware.franka_server.messages import COMMAND, ERRORS, PAYLOADS, STATE, Reflex, Request
 from dashpot.hardware.franka_server.rules import Rules
 from dashpot.hardware.franka_server.server import Server
-from dashpot.hardware.plantlink import PlantLink
 from dashpot.simulation.faults import Fault
 from dashpot.simulation.loop import Loop
 from dashpot.simulation.simulate import PayloadChange, Scenario
+from dashpot.simulation.stepped import SteppedArm
 from dashpot.simulation.trajectory import multisine
 
 
@@ -202,7 +202,7 @@ def test_tick_by_tick_the_arm_is_the_simulators_bit_by_bit(robot):
     def later(fault):  # the link's clock starts at zero, the path's at -0.1 s
         return Fault(fault.kind, fault.start + 0.1, fault.end + 0.1, fault.joint, fault.value)
 
-    link = PlantLink(
+    link = SteppedArm(
         plant,
         1e-3,
         faults=[later(fault) for fault in faults],
@@ -221,7 +221,7 @@ def test_tick_by_tick_the_arm_is_the_simulators_bit_by_bit(robot):
 
 
 def test_sense_and_push_take_turns(robot):
-    link = PlantLink(build(robot, 1e-3), 1e-3)
+    link = SteppedArm(build(robot, 1e-3), 1e-3)
     with pytest.raises(ValueError, match="take turns"):
         link.push(np.zeros(7))
     link.sense(*np.zeros((3, 7)))

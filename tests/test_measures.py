@@ -8,9 +8,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfreqz
 
-from dashpot.campaign.measures import AT_REST, LAST, MEASURES, NOISE_CORNER, SLOWED, STAYS, highpass, measure
+from dashpot.campaign.measures import AT_REST, LAST, MEASURES, NOISE_CORNER, SLOWED, STAYS, measure
 from dashpot.simulation.recording import CHANNELS, Recording
-from dashpot.simulation.vibration import CORNER, WINDOW
+from dashpot.simulation.vibration import CORNER, WINDOW, highpass
 
 
 def recording_of(time, **values):

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from dashpot.control.controller import NOT_FINITE, RATE_LIMITED, TORQUE_LIMITED
 from dashpot.control.supervisor import STATES
 from dashpot.simulation.faults import BRAKE_DELAY
 from dashpot.simulation.recording import Recording
-from dashpot.simulation.vibration import CORNER, WINDOW
+from dashpot.simulation.vibration import CORNER, WINDOW, highpass
 from dashpot.support.arrays import Floats
 
 NOISE_CORNER = 30.0  # [Hz] commanded torque above it is noise, not motion
@@ -206,20 +205,3 @@ def _powered(recording: Recording) -> NDArray[np.uint8] | None:
             last = max(round((min(fault.get("end", math.inf), 1e9) - recording.time[0]) / period), first + 1)
             on[max(first, 0) : last] = 0
     return on
-
-
-@cache
-def highpass(corner: float, period: float) -> Floats | None:
-    """A Butterworth high-pass of fourth order at a corner [Hz], two sections of b0 b1 b2 a1 a2: (2, 5).
-
-    Bilinear, with the corner where it is asked for. None: sampled too slowly to tell.
-    """
-    if 0.5 / period <= 1.5 * corner:
-        return None
-    k = math.tan(math.pi * corner * period)
-    sections = []
-    for angle in (math.pi / 8, 3 * math.pi / 8):
-        damping = 2 * k * math.cos(angle)
-        scale = 1 / (1 + damping + k * k)
-        sections.append([scale, -2 * scale, scale, 2 * (k * k - 1) * scale, (1 - damping + k * k) * scale])
-    return np.array(sections)

@@ -21,10 +21,10 @@ from dashpot.errors import InputError
 from dashpot.hardware.franka_server.limits import Limits
 from dashpot.hardware.franka_server.messages import JOINTS, PERIOD, STATE
 from dashpot.hardware.franka_server.urdf import urdf
-from dashpot.hardware.plantlink import PlantLink
 from dashpot.simulation.faults import Fault
 from dashpot.simulation.recording import Recording
 from dashpot.simulation.simulate import PayloadChange
+from dashpot.simulation.stepped import SteppedArm
 from dashpot.support.arrays import Floats
 
 RESERVE = 2.0  # motor torque over the limit of commands: gravity is added to them; assumed
@@ -127,14 +127,14 @@ class Arm:
             self.state[name] = np.eye(4).ravel()
         self.state["O_ddP_O"] = self.gravity.acceleration
         self._torque, self._theta, self._dtheta, self._q, self._dq = np.zeros((5, JOINTS))
-        self._rest(PlantLink(self._plant, PERIOD, seed=seed))
+        self._rest(SteppedArm(self._plant, PERIOD, seed=seed))
         self.begun = False
 
     def begin(self) -> None:
         """Starts the clock of the script and the recording, for the first motion; the arm still rests."""
         faults, changes = self._script
         self._rest(
-            PlantLink(
+            SteppedArm(
                 self._plant,
                 PERIOD,
                 faults=faults,
@@ -145,7 +145,7 @@ class Arm:
         )
         self.begun = True
 
-    def _rest(self, link: PlantLink) -> None:
+    def _rest(self, link: SteppedArm) -> None:
         self._link = link
         self.fine = True
         self._motor = self._link.carried.copy()

@@ -43,7 +43,7 @@ class Ticks:
         return round(DAY / self.period)
 
 
-class PlantLink:
+class SteppedArm:
     """An arm to be sensed and pushed in turns, from rest with its motors carrying the load.
 
     >>> link.sense(torque, position, velocity)  # writes (n,) N m, rad, rad/s

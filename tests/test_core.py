@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dashpot import _native
-from dashpot.arm.plant import DRIVE_DTYPE
+from dashpot.arm.records import DRIVE_DTYPE
 from dashpot.control.controller import BLENDING, NOT_FINITE, RATE_LIMITED, TORQUE_LIMITED, Controller
 from dashpot.control.sampled import (
     BLOCK_DTYPE,

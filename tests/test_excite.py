@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from dashpot.arm.dynamics import full_mass
 from dashpot.arm.payload import Payload
-from dashpot.arm.plant import build, full_mass
+from dashpot.arm.plant import build
 from dashpot.arm.robot import Robot
 from dashpot.cli import main
 from dashpot.control.controller import Controller, load_controller

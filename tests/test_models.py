@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from dashpot.arm.dynamics import full_mass
 from dashpot.arm.payload import Payload
-from dashpot.arm.plant import build, full_mass
+from dashpot.arm.plant import build
 from dashpot.arm.robot import BUNDLED, Robot
 from dashpot.control.controller import Controller, ControllerConfig, JointGains, load_controller
 from dashpot.simulation.simulate import Scenario, run

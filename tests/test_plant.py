@@ -12,8 +12,10 @@ from scipy.integrate import solve_ivp
 
 from dashpot.arm import plant as plant_module
 from dashpot.arm.drive import Drive, InnerLoop, Servo
+from dashpot.arm.dynamics import full_mass
 from dashpot.arm.payload import Payload
-from dashpot.arm.plant import HYSTERESIS, build
+from dashpot.arm.plant import build
+from dashpot.arm.records import HYSTERESIS
 from dashpot.arm.robot import Robot
 from dashpot.control.controller import Controller, ControllerConfig, JointGains
 from dashpot.control.law import bias_drift, creep_rate, hold_torque, static_R
@@ -106,8 +108,8 @@ def test_inserting_the_drives_leaves_the_rigid_arm_as_it_was(name):
         a.qpos[plant.rotor_qpos], a.qpos[plant.drives["spring_qpos"]] = q - split, split
         a.qvel[:] = motion @ speed
         b.qpos[:], b.qvel[:] = q, speed
-        mass = plant_module.full_mass(plant.model, a)
-        expected = plant_module.full_mass(rigid, b)
+        mass = full_mass(plant.model, a)
+        expected = full_mass(rigid, b)
         np.testing.assert_allclose(motion.T @ mass @ motion, expected + rotors, atol=1e-9)
         # The links alone are seen by the springs.
         spring = plant.spring_dof

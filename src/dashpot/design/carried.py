@@ -81,8 +81,9 @@ def carried(robot: Robot, spec: Spec, period: float) -> dict[str, Carried]:
 def _from_model(robot: Robot, spec: Spec, period: float) -> dict[str, Carried]:
     import mujoco
 
+    from dashpot.arm.dynamics import full_mass
     from dashpot.arm.payload import Payload
-    from dashpot.arm.plant import build, full_mass
+    from dashpot.arm.plant import build
 
     weight = [Payload(spec.payload, spec.offset)] if spec.payload > 0 else []
     empty, full = build(robot, period), build(robot, period, weight)

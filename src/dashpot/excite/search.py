@@ -17,8 +17,9 @@ import mujoco
 import numpy as np
 
 from dashpot.arm.drive import Drive
+from dashpot.arm.dynamics import full_mass
 from dashpot.arm.payload import Payload
-from dashpot.arm.plant import Plant, build, full_mass
+from dashpot.arm.plant import Plant, build
 from dashpot.arm.robot import Robot
 from dashpot.certify.threads import one_thread
 from dashpot.errors import InputError

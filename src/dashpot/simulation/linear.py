@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from dashpot.arm.plant import Plant, full_mass
+from dashpot.arm.dynamics import full_mass
+from dashpot.arm.plant import Plant
 from dashpot.control.controller import Controller
 from dashpot.control.sampled import IN_EFFECT, NW, POSITION, TORQUE, VELOCITY
 from dashpot.support.arrays import Floats

@@ -13,8 +13,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from dashpot.arm.dynamics import full_mass
 from dashpot.arm.payload import Payload
-from dashpot.arm.plant import Plant, build, full_mass
+from dashpot.arm.plant import Plant, build
 from dashpot.arm.robot import Robot
 from dashpot.control.controller import Controller, ControllerConfig, Law, load_controller
 from dashpot.control.laws import law_from_table, to_table

@@ -14,8 +14,9 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from dashpot.arm.assembly import load_spec
 from dashpot.arm.payload import Payload
-from dashpot.arm.plant import build, load_spec
+from dashpot.arm.plant import build
 from dashpot.arm.robot import Robot
 from dashpot.errors import InputError
 from dashpot.hardware.franka_server.limits import Limits

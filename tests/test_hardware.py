@@ -23,7 +23,7 @@ from dashpot.arm.payload import Payload
 from dashpot.arm.plant import build
 from dashpot.arm.robot import Robot
 from dashpot.cli import main
-from dashpot.commands.run import standing
+from dashpot.commands.run_link import standing
 from dashpot.control.controller import Controller, load_controller
 from dashpot.control.supervisor import Supervisor, SupervisorSettings
 from dashpot.hardware.interface import Sample

@@ -37,7 +37,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from dashpot.studies.numbers_run import printed, typed
+from dashpot.studies.numbers_run import Session, printed
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
@@ -257,7 +257,7 @@ def account_of(page: Path) -> Account:
             lines = lines.splitlines() if isinstance(lines, str) else list(lines)
             _lines(account, lines, source.get("tolerance", 0.0), source["lines"])
     if "session" in said:
-        session = typed(said["session"], account.text, ROOT, same_line)
+        session = Session(said["session"], account.text, ROOT, same_line).run()
         account.places += session.places
         account.wrong += session.wrong
     return account

@@ -32,6 +32,7 @@ from dashpot.studies.identification_cases import JOINT, Bench, known, random_ben
 from dashpot.studies.soundness import spread
 
 DRIVES, SEEDS = 200, 5
+RECORDED = 20  # drives whose estimates are kept one by one
 COMPARED = ("rotor_inertia", "viscous_friction", "coulomb_friction")
 
 
@@ -155,6 +156,19 @@ def summary(verdicts: Sequence[Verdict]) -> dict[str, Any]:
     }
 
 
+def held(verdict: Verdict) -> tuple[int, int]:
+    """How many of the intervals given hold the truth, and how many were given."""
+    inside = [low <= verdict.truth[name] <= high for name, (_, low, high) in verdict.found.items()]
+    return sum(inside), len(inside)
+
+
+def each(verdict: Verdict) -> dict[str, Any]:
+    """One drive, for JSON: what the tests make again."""
+    inside, given = held(verdict)
+    values = {name: float(f"{verdict.found[name][0]:.6g}") for name in COMPARED if name in verdict.found}
+    return {"held": inside, "given": given, "estimates": values}
+
+
 def study(seed: int, drives: int, seeds: int, workers: int) -> dict[str, Any]:
     """The whole study."""
     verdicts = spread(partial(judge, seed), list(range(drives)), workers, "drives")
@@ -170,7 +184,7 @@ def study(seed: int, drives: int, seeds: int, workers: int) -> dict[str, Any]:
         for kind in KINDS
     }
     return {
-        "random_drives": summary(verdicts),
+        "random_drives": summary(verdicts) | {"each": [each(verdict) for verdict in verdicts[:RECORDED]]},
         "blind_logs": {
             "logs": len(blind),
             "refused": sum(not missing for _, _, missing, _ in blind),

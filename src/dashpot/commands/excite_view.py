@@ -12,7 +12,7 @@ from rich.padding import Padding
 from dashpot.commands.shared import new_table
 from dashpot.excite import Excitation, JointMotion, Limits
 from dashpot.excite.promise import CERTAIN_SCALE
-from dashpot.support.plots import BLACK, BLUE, GREEN, GREY, VERMILLION, Figure, new_figure
+from dashpot.support.plots import BLACK, BLUE, GREEN, GREY, VERMILLION, Figure, new_figure, top_legend
 
 if TYPE_CHECKING:
     from dashpot.cli.identify import Excite
@@ -135,16 +135,8 @@ def draw(found: Excitation, limits: Limits) -> Figure:
     for row, label in enumerate(("position [deg]", "speed [rad/s]", "motor torque [N m]")):
         axes[row, 0].set_ylabel(label)
     lines = [axes[row, 0].get_lines()[0] for row in range(3)] + [axes[0, 0].get_lines()[1]]
-    legend = figure.legend(
-        lines,
-        ["position", "speed", "motor torque, worst payload", "limit"],
-        title=f"{found.robot.name}: motion for identification",
-        loc="outside upper center",
-        ncols=4,
-        fontsize=9,
-        title_fontsize=11,
-    )
-    legend.get_title().set_parse_math(False)
+    names = ("position", "speed", "motor torque, worst payload", "limit")
+    top_legend(figure, dict(zip(names, lines, strict=True)), f"{found.robot.name}: motion for identification")
     return figure
 
 

@@ -16,7 +16,7 @@ from dashpot.campaign.axes import Axis
 from dashpot.campaign.scenario import OK
 from dashpot.campaign.spec import Spec
 from dashpot.support.arrays import Floats
-from dashpot.support.plots import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION, new_figure, save
+from dashpot.support.plots import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION, new_figure, save, top_legend
 
 BINS = 8  # of a sampled payload
 ROWS, CELLS = 60, 24  # rows and columns of a matrix at most
@@ -145,7 +145,7 @@ def against_payload(spec: Spec, dataset: Any, good: Any, folder: Path) -> Pictur
         if j % columns == 0:
             axis.set_ylabel("largest error [deg]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=9)
+    top_legend(figure, dict(zip(labels, handles, strict=True)))
     path = save(figure, folder / "payload", pdf=False)[0]
     words = f"in {count} groups of payloads" if sampled else "over all other axes"
     caption = (

@@ -20,7 +20,7 @@ from dashpot.control.controller import TORQUE_LIMITED, Controller
 from dashpot.simulation.recording import Recording
 from dashpot.simulation.vibration import CORNER, WINDOW, vibration
 from dashpot.support.arrays import Floats
-from dashpot.support.plots import BLACK, BLUE, GREY, VERMILLION, Figure, new_figure
+from dashpot.support.plots import BLACK, BLUE, GREY, VERMILLION, Figure, new_figure, top_legend
 
 if TYPE_CHECKING:
     from dashpot.cli.simulate import Simulate
@@ -214,16 +214,7 @@ def draw(
         if not str(line.get_label()).startswith("_")
     }
     lines |= legend_entries(found_marks)
-    legend = figure.legend(
-        lines.values(),
-        lines.keys(),
-        title=title(recording, options),
-        loc="outside upper center",
-        ncols=min(len(lines), 4 + (columns > 3)) if found_marks else len(lines),
-        fontsize=9,
-        title_fontsize=11,
-    )
-    legend.get_title().set_parse_math(False)
+    top_legend(figure, lines, title(recording, options))
     return figure
 
 

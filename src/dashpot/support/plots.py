@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,25 @@ def new_figure(
     return plt.subplots(rows, columns, figsize=(width, height), squeeze=False, layout=layout, **options)
 
 
+def top_legend(figure: Figure, lines: Mapping[str, Any], title: str | None = None) -> None:
+    """A legend above all axes, label to handle, in as many columns as the figure is wide enough for."""
+    for columns in range(len(lines), 0, -1):
+        legend = figure.legend(
+            lines.values(),
+            lines.keys(),
+            title=title,
+            loc="outside upper center",
+            ncols=columns,
+            fontsize=9,
+            title_fontsize=11,
+        )
+        legend.get_title().set_parse_math(False)
+        width = legend.get_window_extent(figure.canvas.get_renderer()).width  # type: ignore[attr-defined]
+        if width <= figure.get_figwidth() * figure.dpi or columns == 1:
+            return
+        legend.remove()
+
+
 def save(figure: Figure, path: Path, *, pdf: bool = True) -> list[Path]:
     """Writes ``path`` as PNG, and as PDF unless told not to, and closes the figure; returns the paths."""
     paths = [path.with_suffix(".png"), path.with_suffix(".pdf")]
@@ -74,4 +94,5 @@ __all__ = [
     "Figure",
     "new_figure",
     "save",
+    "top_legend",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -104,15 +104,27 @@ class Certificate:
         return {"certified": self.certified, "joints": [_row(joint) for joint in self.joints]}
 
 
-def certify_arm(robot: Robot, config: ControllerConfig) -> Certificate:
+def certify_arm(
+    robot: Robot, config: ControllerConfig, done: Callable[[], None] | None = None
+) -> Certificate:
     """Certifies a controller on an arm, joint by joint; no model of the arm is needed.
+
+    Args:
+        robot: The arm's drives.
+        config: Laws of some or all joints.
+        done: Called after every joint.
 
     Raises:
         InputError: A joint of the controller is not one of the robot.
     """
-    joints = tuple(certify_joint(drive, gains, config) for drive, gains in paired(robot, config))
+    joints = []
+    for drive, gains in paired(robot, config):
+        joints.append(certify_joint(drive, gains, config))
+        if done is not None:
+            done()
     controlled = {joint.name for joint in joints}
-    return Certificate(robot.name, joints, tuple(name for name in robot.joints if name not in controlled))
+    others = tuple(name for name in robot.joints if name not in controlled)
+    return Certificate(robot.name, tuple(joints), others)
 
 
 def paired(robot: Robot, config: ControllerConfig) -> list[tuple[Drive, Law]]:

@@ -107,8 +107,10 @@ class Export:
     controller: ControllerFile
     to: Annotated[Literal["c", "fmu"], tyro.conf.arg(metavar="c|fmu")]
     """c: a pair NAME.c, NAME.h for any C99 compiler, freestanding. fmu: NAME.fmu for co-simulation."""
-    fmi: Annotated[Literal["2", "3"], tyro.conf.arg(metavar="2|3")] = "3"
-    """Version of FMI: 3 (arrays) or 2 (scalars)."""
+    fmi: Annotated[
+        Literal["2", "3"] | None, tyro.conf.arg(metavar="2|3", help_behavior_hint="(default: 3)")
+    ] = None
+    """Version of FMI of an FMU: 3 (arrays) or 2 (scalars)."""
     supervised: Flag = False
     """Export the runtime supervisor too, with thresholds from the drives and the model's joint ranges."""
     name: Annotated[

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from dashpot.arm.drive import Drive
 from dashpot.arm.robot import Robot
-from dashpot.certify.certificate import Certificate, JointCertificate, block_of, certify_joint, paired
+from dashpot.certify.certificate import Certificate, JointCertificate, block_of, certify_arm, paired
 from dashpot.certify.digest import digest
 from dashpot.certify.testbench import hidden, write
 from dashpot.commands.shared import file_names, progress
@@ -34,17 +34,11 @@ def certify(options: Certify) -> int:
     pairs = paired(robot, config)
     out = options.out or (None if options.json else OUT)
     with progress("certifying", len(pairs) * (1 if out is None else 2)) as advance:
-        joints = []
-        for drive, gains in pairs:
-            joints.append(certify_joint(drive, gains, config))
-            advance()
-        controlled = {drive.name for drive, _ in pairs}
-        others = tuple(name for name in robot.joints if name not in controlled)
-        certificate = Certificate(robot.name, tuple(joints), others)
+        certificate = certify_arm(robot, config, advance)
         if out is not None:
             with whole_folder(out) as folder:
-                files = file_names([joint.name for joint in joints])
-                for joint, (drive, gains) in zip(joints, pairs, strict=True):
+                files = file_names([joint.name for joint in certificate.joints])
+                for joint, (drive, gains) in zip(certificate.joints, pairs, strict=True):
                     _keep(folder / files[joint.name], joint, drive, gains, config)
                     advance()
                 (folder / "certificate.json").write_text(_json(certificate, pairs, config), encoding="utf-8")

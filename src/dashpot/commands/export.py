@@ -10,9 +10,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from dashpot.arm.robot import Robot
-from dashpot.certify.certificate import Certificate, certify_joint, paired
+from dashpot.certify.certificate import Certificate, certify_arm
 from dashpot.commands.shared import check_place, progress
 from dashpot.control.controller import Controller, ControllerConfig, load_controller
+from dashpot.errors import InputError
 from dashpot.export.c import Export as Exported
 from dashpot.export.compiler import compiler
 from dashpot.export.fmu import write_fmu
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 def export(options: Export) -> int:
     """``dashpot export``; returns the exit status: 1 unless every joint is certified."""
+    for key, given in (("--fmi", options.fmi), ("--sources-only", options.sources_only)):
+        if given and options.to == "c":
+            raise InputError("is for --to fmu", quantity=key, value=given)
     robot, config = Robot.load(options.robot), load_controller(options.controller)
     name = c_name(options.controller, options.name)
     check_place(options.out, [robot.file, config.file])
@@ -40,21 +44,14 @@ def export(options: Export) -> int:
             (folder / f"{name}.h").write_text(made.header(), encoding="ascii")
         else:
             binary = not options.sources_only and compiler() is not None
-            version = 3 if options.fmi == "3" else 2
-            compiled = write_fmu(made, folder / f"{name}.fmu", 3 if version == 3 else 2, binary=binary)
+            compiled = write_fmu(made, folder / f"{name}.fmu", 2 if options.fmi == "2" else 3, binary=binary)
     _show(made, options, compiled)
     return 0 if certificate is not None and certificate.certified else 1
 
 
 def _certificate(robot: Robot, config: ControllerConfig) -> Certificate:
-    pairs = paired(robot, config)
-    with progress("certifying", len(pairs)) as advance:
-        joints = []
-        for drive, law in pairs:
-            joints.append(certify_joint(drive, law, config))
-            advance()
-    controlled = {joint.name for joint in joints}
-    return Certificate(robot.name, tuple(joints), tuple(x for x in robot.joints if x not in controlled))
+    with progress("certifying", len(config.joints)) as advance:
+        return certify_arm(robot, config, advance)
 
 
 def _ranges(robot: Robot, config: ControllerConfig) -> dict[str, tuple[float, float]] | None:
@@ -71,7 +68,7 @@ def _show(made: Exported, options: Export, compiled: str | None) -> None:
     """What was written, whether it is certified, and how to use it."""
     console = Console()
     what = f"{made.robot.name} under {Path(options.controller).name}"
-    kind = "C99" if options.to == "c" else f"FMI {options.fmi}.0 co-simulation"
+    kind = "C99" if options.to == "c" else f"FMI {options.fmi or '3'}.0 co-simulation"
     console.print(
         f"[bold]{escape(what)}[/] as {kind}{', supervised' if made.settings else ''}", highlight=False
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dashpot.certify.certificate import Certificate, certify_joint, paired
+from dashpot.certify.certificate import certify_arm
 from dashpot.commands.run_job import Job, check_options, prepare
 from dashpot.commands.run_link import connected
 from dashpot.commands.run_view import show_checks, show_outcome
@@ -141,10 +141,5 @@ def _run(options: Run, job: Job, hardware: Hardware, start: Start | None) -> Out
 def _verdicts(options: Run, job: Job) -> Verdicts:
     if options.certificate is not None:
         return Verdicts.load(options.certificate)
-    pairs = paired(job.robot, job.config)
-    with progress("certifying", len(pairs)) as advance:
-        joints = []
-        for drive, law in pairs:
-            joints.append(certify_joint(drive, law, job.config))
-            advance()
-    return Verdicts.of(Certificate(job.robot.name, tuple(joints), ()).table())
+    with progress("certifying", len(job.config.joints)) as advance:
+        return Verdicts.of(certify_arm(job.robot, job.config, advance).table())

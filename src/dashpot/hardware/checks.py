@@ -145,9 +145,9 @@ def _certificate(
     for name, passed in (("certificate", verdicts.tracking), ("certificate, no encoder", verdicts.brake)):
         bad = [joint for joint, good in zip(verdicts.joints, passed, strict=True) if not good]
         margins = [(m, j) for m, j in zip(verdicts.margin, verdicts.joints, strict=True) if m is not None]
-        least, joint = min(margins, default=(float("nan"), ""))
+        least, joint = min(margins, default=(0.0, ""))
         value = f"{len(passed) - len(bad)} of {len(passed)}"
-        if not bad and name == "certificate":
+        if margins and not bad and name == "certificate":
             value += f", margin {least:.2g} x"
         checks.append(
             Check(

@@ -20,7 +20,7 @@ from dashpot.simulation.compensation import Gravity, compensation
 from dashpot.simulation.equilibrium import Equilibrium, settle
 from dashpot.simulation.recording import CHANNELS, Recording
 from dashpot.simulation.remember import Remembered
-from dashpot.simulation.script import Clock, native_faults, tick_of
+from dashpot.simulation.script import Clock, native_faults, sensor_streams, tick_of
 from dashpot.simulation.trajectory import Trajectory
 from dashpot.support.arrays import Floats
 
@@ -146,7 +146,7 @@ def _drives(scenario: Scenario, plant: Plant) -> NDArray[np.void]:
                 file=plant.robot.file,
                 joint=spec.name,
             )
-    drives["rng"] = np.random.SeedSequence(scenario.seed).generate_state(len(drives), np.uint64)
+    drives["rng"] = sensor_streams(scenario.seed, len(drives))
     return drives
 
 

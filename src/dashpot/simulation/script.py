@@ -109,6 +109,17 @@ FaultRow = tuple[int, int, int, int, float, float]
 """Kind, drive, first and last tick, value and damping of one fault on one joint."""
 
 
+def sensor_streams(seed: int, drives: int) -> NDArray[np.uint64]:
+    """State of each drive's generator of sensor noise, (drives,).
+
+    Raises:
+        InputError: The seed is negative.
+    """
+    if seed < 0:
+        raise InputError("must not be negative", quantity="seed", value=seed)
+    return np.asarray(np.random.SeedSequence(seed).generate_state(drives, np.uint64), np.uint64)
+
+
 def fault_records(rows: Sequence[FaultRow], seed: int, before: int = 0) -> NDArray[np.void]:
     """Records of `FAULT_DTYPE`; those that continue a script have their streams after `before` others."""
     records = np.zeros(len(rows), FAULT_DTYPE)

@@ -21,7 +21,7 @@ from dashpot.simulation.faults import Fault
 from dashpot.simulation.loop import carry
 from dashpot.simulation.prepare import loads
 from dashpot.simulation.recording import CHANNELS, Recording
-from dashpot.simulation.script import native_faults
+from dashpot.simulation.script import native_faults, sensor_streams
 from dashpot.simulation.simulate import PayloadChange
 from dashpot.support.arrays import Floats
 
@@ -99,7 +99,7 @@ class SteppedArm:
             raise InputError(f"must be {n} finite angles", quantity="pose [rad]", value=at.tolist())
         drives = self.plant.drives.copy()
         drives["control"], drives["average"] = np.arange(n), average
-        drives["rng"] = np.random.SeedSequence(seed).generate_state(n, np.uint64)
+        drives["rng"] = sensor_streams(seed, n)
         self._model, self._data = self.plant.model, mujoco.MjData(self.plant.model)
         self.carried = self._rest(at)
         # Always with a script: brakes close through it.

@@ -93,7 +93,8 @@ class Page:
     @property
     def url(self) -> str:
         """Where it is."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        host = self.server.get_host()
+        return f"http://{f'[{host}]' if ':' in host else host}:{self.server.get_port()}"
 
     def close(self) -> None:
         """Ends the server; the session goes on."""

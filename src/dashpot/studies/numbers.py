@@ -131,7 +131,7 @@ def holds(quoted: str, value: Any, tolerance: str | None = None) -> bool:
     """Whether a number as a page writes it is a value: rounded, or within ``3``, or within ``10 %``."""
     said = value_of(quoted)
     if isinstance(said, str) or isinstance(value, str | bool):
-        return str(said) == str(value)
+        return quoted == str(value)
     if tolerance is None:
         allowed = unit_of(quoted) / 2
     elif tolerance.endswith("%"):

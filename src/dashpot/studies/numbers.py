@@ -58,7 +58,8 @@ NO_FIGURES = re.compile(  # numbers there are names, inputs or another's
             r"\([A]?\d{1,2}\)(?:/\([A]?\d{1,2}\))?",  # equations
             r"\bFigs?\. \d+(?: \([ab]\))?(?:(?:, | and | to )\d+)*",
             r"\b(?:1[89]|20)\d\d\b(?=[,;).]| ?\()|(?<=, )(?:19|20)\d\d\b",  # years
-            r"\bTM-\d+|\bPython (?:below )?3\.\d+\+?|\bISO [\d-]+|\b1/s\b|\b[Jj]oints? \d(?:(?:, | and | or | to )\d)*\b",
+            r"\bTM-\d+|\bPython (?:below )?3\.\d+\+?|\bISO [\d-]+|\b1/s\b",
+            r"\b[Jj]oints? \d(?:(?:, | and | or | to )\d)*\b",
         )
     ),
     re.M | re.S,

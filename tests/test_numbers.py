@@ -55,6 +55,8 @@ def test_words_are_numbers_and_answers_are_words():
     assert holds("4,274", 4274)
     assert holds("yes", "yes")
     assert not holds("yes", "no")
+    assert holds("no", "no")
+    assert not holds("no", "yes")
     assert not holds("1", True)
 
 

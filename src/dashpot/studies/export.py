@@ -33,6 +33,7 @@ from dashpot.studies.export_cases import (
 
 SAMPLES = 1_000_000  # of single joints, at least, per controller
 AT_ONCE = 50_000  # ticks of a script
+COUNTED = 100  # ticks of which the instructions are counted
 FUSED = ("-O3", "-march=native", "-ffp-contract=fast")
 GUARD = '#pragma GCC optimize("fp-contract=off")'
 
@@ -111,7 +112,7 @@ def on_target(export: Export, core: str, ticks: int, seed: int = 0) -> dict[str,
         checked = board.call("start")
         rows = script(export, ticks, seed)
         different = differing(in_python(export, rows), board.run(rows, joints))
-        counts = cortex.instructions(image, rows[: min(100, ticks)], joints)
+        counts = cortex.instructions(image, rows[: min(COUNTED, ticks)], joints)
     return {
         "check": checked,
         "ticks": ticks,

@@ -58,7 +58,8 @@ NO_FIGURES = re.compile(  # numbers there are names, inputs or another's
             r"\([A]?\d{1,2}\)(?:/\([A]?\d{1,2}\))?",  # equations
             r"\bFigs?\. \d+(?: \([ab]\))?(?:(?:, | and | to )\d+)*",
             r"\b(?:1[89]|20)\d\d\b(?=[,;).]| ?\()|(?<=, )(?:19|20)\d\d\b",  # years
-            r"\bTM-\d+|\bPython (?:below )?3\.\d+\+?|\bISO [\d-]+|\bjoints? \d(?:(?:, | and | to )\d)*\b",
+            r"\bTM-\d+|\bPython (?:below )?3\.\d+\+?|\bISO [\d-]+|\b1/s\b",
+            r"\b[Jj]oints? \d(?:(?:, | and | or | to )\d)*\b",
         )
     ),
     re.M | re.S,
@@ -131,7 +132,7 @@ def holds(quoted: str, value: Any, tolerance: str | None = None) -> bool:
     """Whether a number as a page writes it is a value: rounded, or within ``3``, or within ``10 %``."""
     said = value_of(quoted)
     if isinstance(said, str) or isinstance(value, str | bool):
-        return str(said) == str(value)
+        return quoted == str(value)
     if tolerance is None:
         allowed = unit_of(quoted) / 2
     elif tolerance.endswith("%"):

@@ -56,7 +56,7 @@ evidence-fig6: $(VENV)/.installed
 	$(BIN)/python -m dashpot.paper.instability > docs/evidence/fig6.json.part
 	mv docs/evidence/fig6.json.part docs/evidence/fig6.json
 
-# About ten minutes: tries to prove the certificate wrong on 10,000 joints.
+# About five minutes: tries to prove the certificate wrong on 10,000 joints.
 evidence-certify: $(VENV)/.installed
 	$(BIN)/python -m dashpot.studies.soundness > docs/evidence/certify.json.part
 	mv docs/evidence/certify.json.part docs/evidence/certify.json
@@ -66,7 +66,7 @@ evidence-identify: $(VENV)/.installed
 	$(BIN)/python -m dashpot.studies.identification > docs/evidence/identify.json.part
 	mv docs/evidence/identify.json.part docs/evidence/identify.json
 
-# About twenty minutes: 150 designs simulated, 1,200,000 other gains looked at, three arms against hand-picked gains.
+# An hour and a half: 150 designs simulated, 1,200,000 other gains looked at, three arms against hand-picked gains.
 evidence-design: $(VENV)/.installed
 	for part in predictions brute arms proof; do \
 	  $(BIN)/python -m dashpot.studies.designs $$part > docs/evidence/design-$$part.json.part && \

@@ -72,7 +72,9 @@ def lanes(rows: Rows) -> None:
             ratio = best["raw"] / best[f"lanes{width}"]
             least = LEAST.get(width) if name == "fr3" else None
             without = np.median(best["bare"] / best[f"lanes{width}"])
-            note = f"({1e6 * np.median(best[f'lanes{width}']):.3f} us a step; without profiler {without:.1f} x)"
+            note = (
+                f"({1e6 * np.median(best[f'lanes{width}']):.3f} us a step; without profiler {without:.1f} x)"
+            )
             rows.add(
                 f"lanes_{name}_{width}",
                 f"closed loop, {width} lanes ({words})",

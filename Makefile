@@ -9,7 +9,7 @@ FOLDERS := $(shell find src -type d -not -name __pycache__)
 .PHONY: demo test lint bench studio dist docs clean \
         evidence-fig6 evidence-certify evidence-identify evidence-design evidence-rivals evidence-rivals-arms \
         evidence-readiness evidence-export evidence-franka evidence-studio evidence-lanes \
-        evidence-reproduce evidence-bench
+        evidence-reproduce evidence-bench evidence-choices
 
 demo: $(VENV)/.installed
 	$(BIN)/dashpot reproduce --out out/paper
@@ -72,6 +72,11 @@ evidence-design: $(VENV)/.installed
 	  $(BIN)/python -m dashpot.studies.designs $$part > docs/evidence/design-$$part.json.part && \
 	  mv docs/evidence/design-$$part.json.part docs/evidence/design-$$part.json || exit 1; \
 	done
+
+# Half a minute: what `dashpot design` makes of one joint at other periods, samplings and latencies.
+evidence-choices: $(VENV)/.installed
+	$(BIN)/python -m dashpot.studies.choices designs > docs/evidence/choices.json.part
+	mv docs/evidence/choices.json.part docs/evidence/choices.json
 
 # About ten minutes: tunes every law on one joint with one budget.
 evidence-rivals: $(VENV)/.installed

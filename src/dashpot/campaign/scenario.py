@@ -40,6 +40,7 @@ from dashpot.support.arrays import Floats
 DURATION = 6.0  # [s], as of `dashpot simulate`
 MAX_TICKS = 1_000_000  # of one recording: about 1 GB of memory for seven joints
 KEPT = 16  # plants, controllers and trajectories that are kept for the next scenario
+APART = 0.1  # [rad] of random poses from the stops, beside the amplitude of the motion
 POSES = 7  # stream of random numbers for poses, apart from the sample's
 T = TypeVar("T")
 
@@ -265,7 +266,7 @@ class Campaign:
         period = next(iter(self.configs.values())).period
         drives = self._keep("range", None, lambda: build(self.robot, period)).drives
         amplitude = self.spec.axis("amplitude").ends()[1] if spec.has("amplitude") else spec.amplitude
-        margin = (amplitude if spec.motion == "multisine" else 0.0) + 0.1
+        margin = (amplitude if spec.motion == "multisine" else 0.0) + APART
         margin = margin if spec.pose_margin is None else spec.pose_margin
         low, high = (np.clip(drives[key], -math.pi, math.pi) for key in ("stop_lower", "stop_upper"))
         keep = np.minimum(margin, (high - low) / 2)

@@ -1,15 +1,18 @@
 """The tables of docs/choosing.md: one gain, or one means, changed at a time, and what it does.
 
-``python -m dashpot.studies.choices`` prints them. The joint is joint 2 of the bundled fr3 with its bundled
-gains and 1 kg at 0.1 m, its own weight carried by the robot, in its worst pose; every figure but the last
-column is what `dashpot design` predicts.
+``python -m dashpot.studies.choices`` prints the first two. The joint is joint 2 of the bundled fr3 with its
+bundled gains and 1 kg at 0.1 m, its own weight carried by the robot, in its worst pose; every figure but the
+last column is what `dashpot design` predicts. ``python -m dashpot.studies.choices designs`` designs the joint
+with other means, for docs/evidence/choices.json, of which `design_rows` makes the third table.
 """
 
 from __future__ import annotations
 
+import json
 import math
+import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -20,8 +23,11 @@ from dashpot.certify.certificate import certify_joint
 from dashpot.control.controller import JointGains, load_controller
 from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Duty, Gains
-from dashpot.design.design import duties
+from dashpot.design.design import design_arm, duties
+from dashpot.design.quantities import GAINS as NUMBERS
+from dashpot.design.quantities import binding_text, predicted_text, significant
 from dashpot.design.spec import Spec
+from dashpot.design.words import conflict_lines
 from dashpot.errors import InputWarning
 
 JOINT = "joint2"
@@ -55,17 +61,30 @@ MEANS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("5 ms, filtered point samples", {"period": 0.005}),
     ("5 ms, sensor filter at 50 Hz", {"period": 0.005, "bandwidth": 50.0}),
 )
+FLAGS: tuple[dict[str, Any], ...] = (
+    {},
+    {"sampling": "average"},
+    {"latency": 2},
+    {"period": 0.002, "sampling": "average"},
+    {"period": 0.005, "sampling": "average"},
+    {"period": 0.005, "sampling": "average", "form": "explicit"},
+    {"period": 0.005, "sampling": "point"},
+)
 HEAD = (
     "| | stop time [ms] | travel [deg] | holds [N m] | creep [deg/s] | error ratio | load error [deg] "
     "| noise [%] | worst index [N m s/rad] | certified | as brake |"
 )
 
 
+def wishes() -> Spec:
+    """A tracker with the payload."""
+    return Spec.load("track").changed(payload=PAYLOAD, offset=OFFSET, joints=(JOINT,))
+
+
 def duty() -> tuple[Duty, JointGains]:
     """What the joint has to do, and its bundled gains."""
-    robot = Robot.load("fr3")
-    spec = Spec.load("track").changed(payload=PAYLOAD, offset=OFFSET, joints=(JOINT,))
-    return duties(robot, spec)[0], next(g for g in load_controller("fr3").gains if g.name == JOINT)
+    gains = next(g for g in load_controller("fr3").gains if g.name == JOINT)
+    return duties(Robot.load("fr3"), wishes())[0], gains
 
 
 def row(label: str, given: Duty, gains: JointGains) -> str:
@@ -121,6 +140,45 @@ def rows() -> Iterator[str]:
         yield row(label, with_means(given, changes), gains)
 
 
+def designs() -> dict[str, Any]:
+    """What `dashpot design` makes of the joint with other means; for JSON."""
+    found = []
+    for flags in FLAGS:
+        (joint,) = design_arm(Robot.load("fr3"), wishes().changed(**flags)).joints
+        made: dict[str, Any] = {"flags": flags}
+        if joint.found is None:
+            made["refused"] = conflict_lines(joint)
+        else:
+            gains = joint.found.gains.joint(joint.name)
+            limits, margin = joint.wishes.limits, joint.wishes.margin
+            made |= {
+                "gains": {name: getattr(gains, name) for name in NUMBERS},
+                "error_deg": significant(math.degrees(joint.predicted["load_error"])),
+                "stop_ms": predicted_text(joint, "stop_time"),
+                "limited_by": [
+                    binding_text(name, limits, margin).removesuffix(" of limit")
+                    for name in joint.found.binding
+                ],
+            }
+        found.append(made)
+    return {"command": "python -m dashpot.studies.choices designs", "designs": found}
+
+
+def design_rows(made: Mapping[str, Any]) -> Iterator[str]:
+    """The table of designs, a row of Markdown at a time."""
+    for design in made["designs"]:
+        flags = " ".join(f"--{name} {value}" for name, value in design["flags"].items())
+        if "refused" in design:
+            cells = ["-"] * 7 + [f"refused: {'; '.join(design['refused'][1:])}"]
+        else:
+            cells = [f"{value:g}" for value in design["gains"].values()]
+            cells += [design["error_deg"], design["stop_ms"], ", ".join(design["limited_by"])]
+        yield f"| {f'`{flags}`' if flags else 'none: 1 ms, filtered points'} | {' | '.join(cells)} |"
+
+
 if __name__ == "__main__":
-    for line in rows():
-        print(line)
+    if sys.argv[1:] == ["designs"]:
+        print(json.dumps(designs(), indent=1))
+    else:
+        for line in rows():
+            print(line)

@@ -56,6 +56,7 @@ NO_FIGURES = re.compile(  # numbers there are names, inputs or another's
             r"(?<!`)``?[^`\n]+`",
             r"\bEqs?\. \([A\d]+\)(?:[-–]\([A\d]+\))?(?:(?:, | and )\([A\d]+\))*",
             r"\([A]?\d{1,2}\)(?:/\([A]?\d{1,2}\))?",  # equations
+            r" \[\d{1,2}\](?!\()",  # sources
             r"\bFigs?\. \d+(?: \([ab]\))?(?:(?:, | and | to )\d+)*",
             r"\b(?:1[89]|20)\d\d\b(?=[,;).]| ?\()|(?<=, )(?:19|20)\d\d\b",  # years
             r"\bTM-\d+|\bPython (?:below )?3\.\d+\+?|\bISO [\d-]+|\b1/s\b",

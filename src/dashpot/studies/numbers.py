@@ -203,16 +203,19 @@ def _quote(account: Account, fragment: str, evaluate: Callable[[str], Any]) -> N
 
 
 def _lines(account: Account, lines: list[str], tolerance: float, what: str) -> None:
-    """Checks that each line that holds a number is one of the page's."""
-    starts = [m.start() for m in re.finditer(r"^", account.text, re.M)]
+    """Checks that the page shows these lines in this order, whatever stands between them."""
     shown = account.text.split("\n")
-    for line in lines:
-        if not re.search(NUMBER, line):
+    starts, next_line = [0], 0
+    for line in shown:
+        starts.append(starts[-1] + len(line) + 1)
+    for line in filter(str.strip, lines):
+        equal = (i for i in range(next_line, len(shown)) if same_line(shown[i], line, tolerance))
+        at = next(equal, None)
+        if at is None:
+            account.wrong.append(f"{what}: not in the page, or not in this order: {line.strip()}")
             continue
-        equal = [i for i, other in enumerate(shown) if same_line(other, line, tolerance)]
-        if not equal:
-            account.wrong.append(f"{what}: not in the page: {line.strip()}")
-        account.places += [(starts[i], starts[i] + len(shown[i])) for i in equal]
+        next_line = at + 1
+        account.places.append((starts[at], starts[next_line]))
 
 
 def _names(source: dict[str, Any]) -> dict[str, Any]:

@@ -1,10 +1,14 @@
 """What MkDocs does otherwise than git hosts: links to files outside docs/, and bars in the code of a table.
 
 A page links to ``../examples/own_hardware.py`` as a git host wants it. In the site that file becomes a page
-of its own, ``files/examples/own_hardware.html``, made here, and the link points there.
+of its own, ``files/examples/own_hardware.html``, made here, and the link points there. So is the page of
+commands: what the ``--help`` of each prints.
 """
 
+import contextlib
 import html
+import io
+import os
 import posixpath
 import re
 from pathlib import Path
@@ -23,8 +27,31 @@ def _outside(page: str, link: str) -> Path | None:
     return None if path.parts[0] in ("docs", "..") or not (ROOT / path).is_file() else path
 
 
+def _commands() -> str:
+    """Every command by stage, with its help as a terminal of 90 columns shows it."""
+    from dashpot.cli import main
+    from dashpot.cli.overview import STAGES
+
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = "90"
+    lines = ["# Commands", "", "What `--help` says; [the first page](index.md#the-chain) has the order.", ""]
+    for stage, commands in STAGES.items():
+        lines += [f"## {stage}", ""]
+        for name in commands:
+            said = io.StringIO()
+            with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
+                main([name, "--help"])
+            lines += [f"### dashpot {name}", "", "````text", said.getvalue().strip(), "````", ""]
+    if before is None:
+        del os.environ["COLUMNS"]
+    else:
+        os.environ["COLUMNS"] = before
+    return "\n".join(lines)
+
+
 def on_files(files, config):
-    """Adds a page for every file that a page links to outside docs/."""
+    """Adds the page of commands, and a page for every file that a page links to outside docs/."""
+    files.append(File.generated(config, "commands.md", content=_commands()))
     found = set()
     for page in files.documentation_pages():
         found |= {

@@ -18,6 +18,7 @@ import tyro
 
 import dashpot
 from dashpot.cli import main
+from dashpot.cli.overview import COMMANDS
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -57,7 +58,8 @@ def commands(text: str) -> list[str]:
 
 def test_every_page_is_in_the_navigation():
     named = re.findall(r"[\w/.-]+\.md\b", (ROOT / "mkdocs.yml").read_text().split("\nnav:")[1])
-    assert sorted(named) == sorted(path.relative_to(DOCS).as_posix() for path in PAGES[1:])
+    made = ["commands.md"]  # by docs/hooks.py
+    assert sorted(named) == sorted([path.relative_to(DOCS).as_posix() for path in PAGES[1:]] + made)
 
 
 @pages
@@ -155,6 +157,8 @@ def test_site_builds_and_needs_no_network(tmp_path):
     for page in PAGES[1:]:
         assert page.relative_to(DOCS).with_suffix(".html").as_posix() in built
     assert "search/search_index.js" in built
+    said = (site / "commands.html").read_text(encoding="utf-8")
+    assert all(f'id="dashpot-{name}"' in said for name in COMMANDS)
     for name in sorted(built):
         if not name.endswith(".html") or name == "404.html":  # that one is for servers
             continue

@@ -281,12 +281,12 @@ def test_a_campaigns_supervisor_goes_before_the_controllers_own(tmp_path):
     assert both == SupervisorSettings(stop_time=0.7, drift=0.3)
 
 
-def test_gravity_compensation_is_switched_on_where_the_robot_has_it():
+def test_a_robot_carries_its_weight_where_its_file_says_so_unless_told_not_to():
     for robot, controller, has in (("fr3", "fr3", True), ("k807", "k807-wrist", False)):
         head = f'robot = "{robot}"\ncontroller = "{controller}"\nduration = 0.2\n'
-        on = Campaign(Spec.parse(head + "gravity_compensation = true", None)).scenario(0)
-        assert on.carried is has
-        assert not Campaign(Spec.parse(head, None)).scenario(0).carried
+        assert Campaign(Spec.parse(head, None)).scenario(0).carried is has
+        off = Campaign(Spec.parse(head + "gravity_compensation = false", None)).scenario(0)
+        assert not off.carried
     with pytest.raises(InputError, match="gravity_compensation = 'yes': must be true or false"):
         Spec.parse(head + 'gravity_compensation = "yes"', None)
 

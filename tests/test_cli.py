@@ -215,7 +215,7 @@ def test_vibration_of_a_known_signal():
     np.testing.assert_allclose(rms[1], 3 / np.sqrt(2), rtol=0.01)
     assert frequency[1] == pytest.approx(31)
     assert vibration(signal[:50], 0.005) is None
-    assert vibration(signal, 0.1) is None
+    assert vibration(signal, 0.12) is None
 
 
 def test_a_release_with_a_payload_beside_the_axis(dashpot, monkeypatch):

@@ -73,7 +73,7 @@ class Spec:
     release: float | None = number("s", -1e3, 1e5, default=None)
     tap: float = number("N m", -1e5, 1e5, default=0.0)
     supervisor: Mapping[str, Any] | None = None
-    gravity_compensation: bool = False
+    gravity_compensation: bool = True
     engine: str = "auto"
     sample: str | None = None
     count: int = 0

@@ -11,7 +11,6 @@ import tyro
 from dashpot.cli.arguments import (
     ControllerFile,
     Faults,
-    Flag,
     Folder,
     Mass,
     Number,
@@ -64,9 +63,9 @@ class Simulate:
     supervise: bool = False
     """Run the supervisor around the controller, as on a robot: it checks every signal, brakes without
     encoders or without torque sensors, and closes the mechanical brakes last (docs/supervisor.md)."""
-    gravity_compensation: Flag = False
-    """Switch on the robot's own gravity compensation, as its file says that it has (docs/model.md): it then
-    carries its own weight, and the controller what is left."""
+    gravity_compensation: bool = True
+    """Whether the robot carries its own weight, where its file says that it does (docs/model.md), and the
+    controller only what is left."""
     seed: Number = 0
     """Seed of motion, sensor noise and dropped samples."""
     out: Folder = Path("out/simulate")

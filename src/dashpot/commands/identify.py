@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 from dashpot.arm.robot import Robot
 from dashpot.certify.threads import one_thread
 from dashpot.commands.shared import check_place, file_names, progress
-from dashpot.errors import InputError
+from dashpot.errors import InputError, InputWarning
 from dashpot.identify import DriveEstimate, identify_joint
+from dashpot.identify.weight import weight_aligned, without_transmission
 from dashpot.identify.writeback import CONFIDENCE, bundled, too_wide, write_back
 from dashpot.logs import Topics, read_log
 from dashpot.logs.log import Log
@@ -33,12 +35,14 @@ def identify(options: Identify) -> int:
     topics = Topics(options.states, options.commands, options.links)
     log = read_log(options.log, sampling=options.sampling, topics=topics)
     joints = _joints(options, log, robot)
+    aligned = _without_weight(log, robot) if robot.gravity_compensation else None
     estimate = one_thread(identify_joint)
     with progress("identifying", 2 * len(joints)) as advance, whole_folder(options.out) as folder:
         estimates = []
         for joint in joints:
             drive = robot.drives[robot.index(joint)]
-            estimates.append(estimate(log.only(joint), joint, drive, scale=options.scale))
+            found = estimate((aligned or log).only(joint), joint, drive, scale=options.scale)
+            estimates.append(without_transmission(found) if aligned else found)
             advance()
         _draw(folder, estimates, robot, log, advance)
         written = _write(folder, options, robot, estimates, log)
@@ -55,6 +59,20 @@ def identify(options: Identify) -> int:
 
         show(estimates, robot, log, options, written)
     return 1 if lacking(estimates) else 0
+
+
+def _without_weight(log: Log, robot: Robot) -> Log | None:
+    """The log of a robot that carries its own weight, made ready; a warning where that cannot be."""
+    aligned = weight_aligned(log, robot)
+    if aligned is None:
+        message = InputError(
+            "needs the robot's model and the angles of all its joints in the log; without, viscous friction "
+            "comes out wrong by the slope of the weight times the sensor's delay, and so does stiffness",
+            file=robot.file,
+            quantity="gravity_compensation",
+        )
+        warnings.warn(str(message), InputWarning, stacklevel=2)
+    return aligned
 
 
 def lacking(estimates: Sequence[DriveEstimate]) -> dict[str, tuple[str, ...]]:

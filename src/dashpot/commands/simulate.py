@@ -49,26 +49,21 @@ def simulate(options: Simulate) -> int:
         check_log_path(options.log, "--log")
     quiet_engine()
     robot, config = Robot.load(options.robot), load_controller(options.controller)
-    if options.gravity_compensation and not robot.gravity_compensation:
-        raise InputError(
-            "this robot has none of its own; if it does, say gravity_compensation = true in its file",
-            file=robot.file,
-            quantity="--gravity-compensation",
-        )
+    carried = options.gravity_compensation and robot.gravity_compensation
     controller = Controller.from_config(config, robot.drives)
     payload = Payload(options.payload, payload_offset(options.offset))
     # A log stands for the real thing, whose friction and damping do not depend on a time step.
     step = config.period if options.log is None else config.period / math.ceil(config.period / LOGGED)
     plant = build(robot, step, [payload] if payload.mass > 0 else [])
     path = _path(options, robot, config.period)
-    path = with_feedforward(robot, config, path, carried=options.gravity_compensation)
+    path = with_feedforward(robot, config, path, carried=carried)
     _warn_of_range(plant, path, options)
-    _warn_of_saturation(plant, path, payload, options.gravity_compensation)
+    _warn_of_saturation(plant, path, payload, carried)
     faults, changes = read_faults(options.fault), read_changes(options.payload_at, payload)
     for change in changes:
         if change.payload is not None:
             loaded = with_payload(plant, change.payload, config.period)
-            _warn_of_saturation(loaded, path, change.payload, options.gravity_compensation)
+            _warn_of_saturation(loaded, path, change.payload, carried)
     bypassed = controller.joints if "all" in options.bypass else options.bypass
     events = [Event(path.start, joint, "mode", "bypass") for joint in bypassed]
     events += tracking_events(config, path.start, bypassed)
@@ -92,7 +87,7 @@ def simulate(options: Simulate) -> int:
             faults=faults,
             payload_changes=changes,
             supervisor=config.supervisor if options.supervise else None,
-            gravity_compensation=options.gravity_compensation,
+            gravity_compensation=carried,
         )
         traced = options.log is not None and options.log.suffix.lower() == ".mcap"
         recording, trace = run_aside(lambda: run_traced(scenario) if traced else (run(scenario), None))

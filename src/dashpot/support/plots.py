@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,14 @@ def new_figure(
     return plt.subplots(rows, columns, figsize=(width, height), squeeze=False, layout=layout, **options)
 
 
+@contextmanager
+def _any_names() -> Iterator[None]:
+    """Names given by the user may have letters that the font lacks."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")
+        yield
+
+
 def top_legend(figure: Figure, lines: Mapping[str, Any], title: str | None = None) -> None:
     """A legend above all axes, label to handle, in as many columns as the figure is wide enough for."""
     for columns in range(len(lines), 0, -1):
@@ -64,7 +73,8 @@ def top_legend(figure: Figure, lines: Mapping[str, Any], title: str | None = Non
             title_fontsize=11,
         )
         legend.get_title().set_parse_math(False)
-        width = legend.get_window_extent(figure.canvas.get_renderer()).width  # type: ignore[attr-defined]
+        with _any_names():
+            width = legend.get_window_extent(figure.canvas.get_renderer()).width  # type: ignore[attr-defined]
         if width <= figure.get_figwidth() * figure.dpi or columns == 1:
             return
         legend.remove()
@@ -73,8 +83,7 @@ def top_legend(figure: Figure, lines: Mapping[str, Any], title: str | None = Non
 def save(figure: Figure, path: Path, *, pdf: bool = True) -> list[Path]:
     """Writes ``path`` as PNG, and as PDF unless told not to, and closes the figure; returns the paths."""
     paths = [path.with_suffix(".png"), path.with_suffix(".pdf")]
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing from font")  # a name given by the user
+    with _any_names():
         figure.savefig(paths[0])
         if pdf:
             figure.savefig(paths[1], metadata={"CreationDate": None})

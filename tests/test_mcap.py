@@ -380,8 +380,8 @@ def test_a_disk_that_fills_up_is_said_by_the_next_call(tmp_path, monkeypatch):
     with full.open("wb", buffering=0) as disk:
         log.write(MS * np.arange(3), {"torque": np.ones((3, 2))})
         with log._lock:
-            log._file.close()
-            monkeypatch.setattr(log, "_file", disk)
+            log._file._file.close()
+            monkeypatch.setattr(log._file, "_file", disk)
         log.write(MS * np.arange(3, 6), {"torque": np.ones((3, 2))})
         time.sleep(2 * INTERVAL)
         with pytest.raises(OSError, match="No space left"):

@@ -7,12 +7,9 @@ CDR, with their definitions in the file (`dashpot.logs.messages`).
 
 from __future__ import annotations
 
-import struct
 import threading
-import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -22,13 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from dashpot.errors import InputError
 from dashpot.logs.cdr import MESSAGE, OPCODE, Cdr, Row, joint_message, tick_row
-from dashpot.logs.mcapreader import MAGIC, package
+from dashpot.logs.mcapfile import McapFile
 from dashpot.logs.messages import (
     COLUMNS,
     LEVELS,
     LOG,
     LOG_DEFINITION,
-    METADATA,
     ROSOUT,
     SCALARS,
     TOPICS,
@@ -36,13 +32,9 @@ from dashpot.logs.messages import (
 )
 
 INTERVAL = 0.4  # [s] after which what has been written goes to the file
-LARGEST = 1 << 22  # [bytes] of a chunk before compression
 BLOCK = 4096  # ticks encoded at a time
 NANO = 1_000_000_000
 LATEST = (1 << 31) * NANO  # [ns] that a builtin_interfaces/Time can hold
-HEADER, FOOTER, SCHEMA, CHANNEL, CHUNK, MESSAGE_INDEX = 1, 2, 3, 4, 6, 7
-CHUNK_INDEX, STATISTICS, METADATA_RECORD, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = 8, 11, 12, 13, 14, 15
-ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])  # of a message index
 
 
 class McapWriter:
@@ -84,29 +76,15 @@ class McapWriter:
             raise InputError(
                 "must be names, each once", file=self.path, quantity="joints", value=", ".join(joints)
             )
-        self._compressor = package("zstandard").ZstdCompressor(level=1)
         self._lock = threading.Lock()
-        self._error: OSError | None = None
         self._closed = False
         self._columns: tuple[str, ...] = ()
         self._row: Row | None = None
-        self._position = 0  # in the file
-        self._schemas: dict[str, tuple[int, bytes]] = {}
-        self._channels: dict[int, bytes] = {}
-        self._counts: dict[int, int] = {}
-        self._span: list[int] = []
-        self._chunk_indexes: list[bytes] = []
-        self._empty()
-        said = {"period": repr(float(period)), **(metadata or {})}
-        meta = _record(METADATA_RECORD, _text(METADATA) + _map(said))
-        begin = MAGIC + _record(HEADER, _text("ros2") + _text(f"dashpot {version('dashpot')}"))
-        self._metadata = (len(begin), len(meta))
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("wb", buffering=0)
+            self._file = McapFile(self.path, {"period": repr(float(period)), **(metadata or {})})
             try:
-                self._put(begin + meta)
-                self._rosout = self._channel(ROSOUT, LOG, LOG_DEFINITION)
+                self._rosout = self._file.channel(ROSOUT, LOG, LOG_DEFINITION)
             except OSError:
                 self._file.close()
                 raise
@@ -178,9 +156,9 @@ class McapWriter:
         cdr.count(0)
         with self._lock:
             self._check()
-            count = self._counts[self._rosout]
+            count = self._file.counts[self._rosout]
             head = MESSAGE.pack(OPCODE, MESSAGE.size - 9 + len(cdr.data), self._rosout, count, stamp, stamp)
-            self._append(head + bytes(cdr.data), np.array([stamp]), {self._rosout: 0}, 0)
+            self._file.append(head + bytes(cdr.data), np.array([stamp]), {self._rosout: 0}, 0)
 
     def flush(self) -> None:
         """Hands everything to the operating system now.
@@ -190,7 +168,7 @@ class McapWriter:
         """
         with self._lock:
             self._check()
-            self._end_chunk()
+            self._file.end_chunk()
 
     def close(self) -> None:
         """Writes the rest and the index. Later calls do nothing.
@@ -205,10 +183,9 @@ class McapWriter:
         with self._lock:
             self._closed = True
             try:
-                if self._error is not None:
-                    raise self._error
-                self._end_chunk()
-                self._put(self._ending())
+                self._file.check()
+                self._file.end_chunk()
+                self._file.finish()
             finally:
                 self._file.close()
 
@@ -223,13 +200,12 @@ class McapWriter:
     def _check(self) -> None:
         if self._closed:
             raise InputError("is closed", file=self.path)
-        if self._error is not None:
-            raise self._error
+        self._file.check()
 
     def _put_away(self) -> None:
         while not self._closing.wait(INTERVAL):
             with self._lock, suppress(OSError):  # the next call says it
-                self._end_chunk()
+                self._file.end_chunk()
 
     def _begin(self, names: tuple[str, ...]) -> Row:
         """Registers the topics of the columns."""
@@ -244,24 +220,10 @@ class McapWriter:
         messages = []
         for topic in TOPICS:
             if any(name in names for name in topic.columns):
-                channel = self._channel(topic.name, topic.type, topic.definition)
+                channel = self._file.channel(topic.name, topic.type, topic.definition)
                 messages.append((channel, joint_message(topic, self.joints, names)))
         self._columns = names
         return tick_row(messages)
-
-    def _channel(self, topic: str, kind: str, definition: str) -> int:
-        known = self._schemas.get(kind)
-        if known is None:
-            number = len(self._schemas) + 1
-            content = struct.pack("<H", number) + _text(kind) + _text("ros2msg") + _text(definition)
-            known = self._schemas[kind] = (number, _record(SCHEMA, content))
-            self._put(known[1])
-        channel = len(self._channels) + 1
-        content = struct.pack("<HH", channel, known[0]) + _text(topic) + _text("cdr") + _map({})
-        self._channels[channel] = _record(CHANNEL, content)
-        self._counts[channel] = 0
-        self._put(self._channels[channel])
-        return channel
 
     def _add(self, stamps: NDArray[np.int64], columns: Mapping[str, NDArray[Any]], row: Row) -> None:
         block = np.empty((len(stamps), len(row.template)), np.uint8)
@@ -270,128 +232,10 @@ class McapWriter:
         seconds = stamps // NANO
         nanoseconds = stamps - NANO * seconds
         for i, channel in enumerate(row.starts):
-            first = self._counts[channel]
+            first = self._file.counts[channel]
             rows[f"sequence@{i}"] = np.arange(first, first + len(stamps)) & 0xFFFFFFFF
             rows[f"log@{i}"] = rows[f"publish@{i}"] = stamps
             rows[f"sec@{i}"], rows[f"nanosec@{i}"] = seconds, nanoseconds
         for name, slot in row.slots.items():
             rows[slot] = columns.get(name, 0)
-        self._append(block.tobytes(), stamps, row.starts, len(row.template))
-
-    def _append(self, data: bytes, stamps: NDArray[np.int64], starts: Mapping[int, int], stride: int) -> None:
-        """Adds records to the chunk; a channel's begin at its start, then every ``stride`` bytes."""
-        for channel, start in starts.items():
-            entries = np.empty(len(stamps), ENTRY)
-            entries["time"] = stamps
-            entries["offset"] = self._size + start + stride * np.arange(len(stamps))
-            self._entries.setdefault(channel, []).append(entries)
-            self._counts[channel] += len(stamps)
-        self._parts.append(data)
-        self._size += len(data)
-        if self._size >= LARGEST:
-            self._end_chunk()
-
-    def _empty(self) -> None:
-        self._parts: list[bytes] = []
-        self._size = 0
-        self._entries: dict[int, list[NDArray[np.void]]] = {}
-
-    def _end_chunk(self) -> None:
-        if not self._parts:
-            return
-        plain = b"".join(self._parts)
-        entries = {channel: np.concatenate(parts) for channel, parts in self._entries.items()}
-        first = min(int(e["time"].min()) for e in entries.values())
-        last = max(int(e["time"].max()) for e in entries.values())
-        packed = self._compressor.compress(plain)
-        span = struct.pack("<QQ", first, last)
-        crc = zlib.crc32(plain)
-        chunk = _record(
-            CHUNK,
-            span
-            + struct.pack("<QI", len(plain), crc)
-            + _text("zstd")
-            + struct.pack("<Q", len(packed))
-            + packed,
-        )
-        begin, offsets, indexes = self._position, [], []
-        place = begin + len(chunk)
-        for channel, rows in entries.items():
-            offsets.append(struct.pack("<HQ", channel, place))
-            raw = rows.tobytes()
-            indexes.append(_record(MESSAGE_INDEX, struct.pack("<HI", channel, len(raw)) + raw))
-            place += len(indexes[-1])
-        where = b"".join(offsets)
-        self._chunk_indexes.append(
-            _record(
-                CHUNK_INDEX,
-                span
-                + struct.pack("<QQI", begin, len(chunk), len(where))
-                + where
-                + struct.pack("<Q", place - begin - len(chunk))
-                + _text("zstd")
-                + struct.pack("<QQ", len(packed), len(plain)),
-            )
-        )
-        self._span = (
-            [min(first, *self._span[:1]), max(last, *self._span[1:])] if self._span else [first, last]
-        )
-        self._empty()
-        self._put(b"".join([chunk, *indexes]))
-
-    def _ending(self) -> bytes:
-        """The end of the data, and the summary that lets readers seek."""
-        end = _record(DATA_END, struct.pack("<I", 0))
-        summary_start = self._position + len(end)
-        counts = b"".join(struct.pack("<HQ", channel, count) for channel, count in self._counts.items())
-        statistics = struct.pack(
-            "<QHIIIIQQI",
-            sum(self._counts.values()),
-            len(self._schemas),
-            len(self._channels),
-            0,
-            1,
-            len(self._chunk_indexes),
-            *(self._span or (0, 0)),
-            len(counts),
-        )
-        groups = (
-            (SCHEMA, b"".join(record for _, record in self._schemas.values())),
-            (CHANNEL, b"".join(self._channels.values())),
-            (STATISTICS, _record(STATISTICS, statistics + counts)),
-            (CHUNK_INDEX, b"".join(self._chunk_indexes)),
-            (METADATA_INDEX, _record(METADATA_INDEX, struct.pack("<QQ", *self._metadata) + _text(METADATA))),
-        )
-        body, offsets, place = b"", b"", summary_start
-        for opcode, group in groups:
-            if group:
-                offsets += _record(SUMMARY_OFFSET, struct.pack("<BQQ", opcode, place, len(group)))
-            body += group
-            place += len(group)
-        foot = struct.pack("<BQQQ", FOOTER, 20, summary_start, place)
-        crc = zlib.crc32(body + offsets + foot)
-        return end + body + offsets + foot + struct.pack("<I", crc) + MAGIC
-
-    def _put(self, data: bytes) -> None:
-        rest = memoryview(data)
-        try:
-            while rest:
-                rest = rest[self._file.write(rest) :]
-        except OSError as error:  # what follows on half a record could not be read: every later call says so
-            self._error = error
-            raise
-        self._position += len(data)
-
-
-def _record(opcode: int, content: bytes) -> bytes:
-    return struct.pack("<BQ", opcode, len(content)) + content
-
-
-def _text(text: str) -> bytes:
-    raw = text.encode()
-    return struct.pack("<I", len(raw)) + raw
-
-
-def _map(items: Mapping[str, str]) -> bytes:
-    raw = b"".join(_text(key) + _text(value) for key, value in items.items())
-    return struct.pack("<I", len(raw)) + raw
+        self._file.append(block.tobytes(), stamps, row.starts, len(row.template))

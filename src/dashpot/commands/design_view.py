@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 COLUMNS = ("stop_time", "travel", "hold", "creep", "load_error", "error_ratio", "noise", "damping_ratio")
 """Of the table of predictions; authority is in the report."""
+SLIGHT = 0.01  # [N m] of weight
 
 
 def show(result: Design, needed: Sequence[Duty], robot: Robot, options: Options) -> None:
@@ -57,8 +59,25 @@ def show(result: Design, needed: Sequence[Duty], robot: Robot, options: Options)
     if not result.feasible:
         console.print()
     console.print(f"Assumed: {escape(assumptions(result, needed[0]))}.", highlight=False, style="dim")
+    if result.spec.gravity_compensated and _sinks(robot, result.spec.period):
+        console.print(
+            f"That it carries its own weight is not in {escape(str(robot.file))} (gravity_compensation = "
+            "true), which dashpot simulate goes by. If it does not: --gravity-compensated no",
+            highlight=False,
+            style="dim",
+            soft_wrap=True,
+        )
     console.print()
     _end(console, result, robot, options)
+
+
+def _sinks(robot: Robot, period: float) -> bool:
+    """Whether the arm weighs on its joints, at home, and does not say that it carries that itself."""
+    if robot.model is None or robot.gravity_compensation:
+        return False
+    from dashpot.arm.plant import build
+
+    return bool(np.abs(build(robot, period).load_torque(np.array(robot.home))).max() > SLIGHT)
 
 
 def _end(console: Console, result: Design, robot: Robot, options: Options) -> None:

@@ -43,7 +43,9 @@ def _latency(duty: Duty) -> str:
 
 def _payload(result: Design) -> str:
     spec = result.spec
-    weight = "" if spec.gravity_compensated else ", the arm's own weight counts as load"
+    weight = ", the arm's own weight counts as load"
+    if spec.gravity_compensated:
+        weight = ", the robot carries its own weight"
     if spec.payload == 0:
         return f"no payload{weight}"
     where = f" at ({', '.join(f'{part:g}' for part in spec.offset)}) m" if any(spec.offset) else ""

@@ -20,6 +20,7 @@ from dashpot.certify.certificate import certify_arm
 from dashpot.cli import main
 from dashpot.cli.design import Design as Options
 from dashpot.commands.design import MEANS, specification
+from dashpot.commands.design_view import sinks
 from dashpot.control.controller import load_controller
 from dashpot.design.design import PREDICTED, design_arm, duties
 from dashpot.design.quantities import QUANTITIES, significant
@@ -323,3 +324,10 @@ def test_help_names_every_wish_with_its_unit(dashpot):
 )
 def test_numbers_for_people(value, text):
     assert significant(value) == text
+
+
+@pytest.mark.parametrize(("robot", "said"), [("fr3", False), ("iiwa14", True), ("own_arm.toml", False)])
+def test_weight_that_the_file_does_not_carry_is_said(robot, said):
+    """Nothing to say of the fr3, whose file says so, and of an arm with vertical axes."""
+    path = Path(__file__).parents[1] / "examples" / robot
+    assert sinks(Robot.load(str(path) if path.exists() else robot), 1e-3) is said

@@ -59,7 +59,7 @@ def show(result: Design, needed: Sequence[Duty], robot: Robot, options: Options)
     if not result.feasible:
         console.print()
     console.print(f"Assumed: {escape(assumptions(result, needed[0]))}.", highlight=False, style="dim")
-    if result.spec.gravity_compensated and _sinks(robot, result.spec.period):
+    if result.spec.gravity_compensated and sinks(robot, needed[0].period):
         console.print(
             f"That it carries its own weight is not in {escape(str(robot.file))} (gravity_compensation = "
             "true), which dashpot simulate goes by. If it does not: --gravity-compensated no",
@@ -71,7 +71,7 @@ def show(result: Design, needed: Sequence[Duty], robot: Robot, options: Options)
     _end(console, result, robot, options)
 
 
-def _sinks(robot: Robot, period: float) -> bool:
+def sinks(robot: Robot, period: float) -> bool:
     """Whether the arm weighs on its joints, at home, and does not say that it carries that itself."""
     if robot.model is None or robot.gravity_compensation:
         return False

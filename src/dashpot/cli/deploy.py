@@ -19,6 +19,7 @@ from dashpot.cli.arguments import (
     PayloadChanges,
     RobotFile,
 )
+from dashpot.support.waiting import waiting
 
 
 @dataclass
@@ -88,7 +89,8 @@ class Run:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.run import run
+        with waiting("starting"):
+            from dashpot.commands.run import run
 
         return run(self)
 
@@ -126,7 +128,8 @@ class Export:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.export import export
+        with waiting("starting"):
+            from dashpot.commands.export import export
 
         return export(self)
 
@@ -171,6 +174,7 @@ class FrankaServer:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.franka_server import franka_server
+        with waiting("starting"):
+            from dashpot.commands.franka_server import franka_server
 
         return franka_server(self)

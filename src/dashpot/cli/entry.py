@@ -16,6 +16,7 @@ import tyro
 
 from dashpot.cli.overview import COMMANDS, overview
 from dashpot.errors import DashpotError, InputError, InputWarning
+from dashpot.support.waiting import above
 
 
 def parse(arguments: Sequence[str]) -> Any:
@@ -38,7 +39,8 @@ def parse(arguments: Sequence[str]) -> Any:
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     label = "warning" if issubclass(category, InputWarning) else category.__name__
-    print(f"dashpot: {label}: {message}", file=sys.stderr)
+    with above():
+        print(f"dashpot: {label}: {message}", file=sys.stderr)
 
 
 class _Terminated(KeyboardInterrupt):

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from dashpot.cli.arguments import Flag
+from dashpot.support.waiting import waiting
 
 
 @dataclass
@@ -27,7 +28,8 @@ class Doctor:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.doctor import doctor
+        with waiting("starting"):
+            from dashpot.commands.doctor import doctor
 
         return doctor(self)
 

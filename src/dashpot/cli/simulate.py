@@ -20,6 +20,7 @@ from dashpot.cli.arguments import (
     PerCore,
     RobotFile,
 )
+from dashpot.support.waiting import waiting
 
 
 @dataclass
@@ -77,7 +78,8 @@ class Simulate:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.simulate import simulate
+        with waiting("starting"):
+            from dashpot.commands.simulate import simulate
 
         return simulate(self)
 
@@ -117,7 +119,8 @@ class Studio:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.studio import studio
+        with waiting("starting"):
+            from dashpot.commands.studio import studio
 
         return studio(self)
 
@@ -162,7 +165,8 @@ class Campaign:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.campaign import campaign
+        with waiting("starting"):
+            from dashpot.commands.campaign import campaign
 
         return campaign(self)
 
@@ -185,7 +189,8 @@ class Report:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.report import report
+        with waiting("starting"):
+            from dashpot.commands.report import report
 
         return report(self)
 
@@ -209,7 +214,8 @@ class Replay:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.campaign import replay
+        with waiting("starting"):
+            from dashpot.commands.campaign import replay
 
         return replay(self)
 
@@ -230,6 +236,7 @@ class Reproduce:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.reproduce import reproduce
+        with waiting("starting"):
+            from dashpot.commands.reproduce import reproduce
 
         return reproduce(self.out, self.seeds, self.threads)

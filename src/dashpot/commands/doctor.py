@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from dashpot.commands.shared import bare_table
+from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
     from dashpot.cli.install import Doctor
@@ -54,9 +55,10 @@ class Finding:
 
 def doctor(options: Doctor) -> int:
     """Prints the findings; arguments as of the command."""
-    found = [*core(), *extras(), *tools(), *realtime()]
-    if all(one.state == "ok" for one in found if one.part == "core"):
-        found.insert(sum(one.part == "core" for one in found), works())
+    with waiting("looking"):
+        found = [*core(), *extras(), *tools(), *realtime()]
+        if all(one.state == "ok" for one in found if one.part == "core"):
+            found.insert(sum(one.part == "core" for one in found), works())
     sound = all(one.state == "ok" for one in found if one.part == "core")
     if options.json:
         print(json.dumps({"works": sound, "findings": [asdict(one) for one in found]}, indent=1))

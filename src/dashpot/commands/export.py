@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 from rich.markup import escape
@@ -20,6 +20,7 @@ from dashpot.export.fmu import write_fmu
 from dashpot.export.names import c_name
 from dashpot.export.summary import verdict
 from dashpot.support.output import whole_folder
+from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
     from dashpot.cli.deploy import Export
@@ -44,7 +45,9 @@ def export(options: Export) -> int:
             (folder / f"{name}.h").write_text(made.header(), encoding="ascii")
         else:
             binary = not options.sources_only and compiler() is not None
-            compiled = write_fmu(made, folder / f"{name}.fmu", 2 if options.fmi == "2" else 3, binary=binary)
+            with waiting("compiling" if binary else "writing"):
+                version: Literal[2, 3] = 2 if options.fmi == "2" else 3
+                compiled = write_fmu(made, folder / f"{name}.fmu", version, binary=binary)
     _show(made, options, compiled)
     return 0 if certificate is not None and certificate.certified else 1
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from dashpot.paper.relations import Relation
 
 from dashpot.simulation.engine import quiet_engine
+from dashpot.support.waiting import waiting
 
 FIGURES = {
     "fig4": "Fig. 4: tracking",
@@ -26,7 +27,8 @@ FIGURES = {
 
 def reproduce(out: Path, seeds: int, threads: int | None) -> int:
     """``dashpot reproduce``; returns the exit status: 1 if a relation fails."""
-    from dashpot.paper.reproduction import reproduce as run_study
+    with waiting("starting"):
+        from dashpot.paper.reproduction import reproduce as run_study
 
     if threads is not None and threads < 1:
         raise InputError("must be at least 1", quantity="--threads", value=threads)

@@ -52,6 +52,17 @@ def progress(label: str, steps: int) -> Iterator[Callable[[], None]]:
         yield lambda: bar.advance(task)
 
 
+@contextmanager
+def clock(label: str, seconds: float) -> Iterator[Callable[[float], None]]:
+    """A bar over simulated time [s] as `progress`; what it gives is told how far it has come."""
+    so_far = TextColumn("{task.completed:.1f} of {task.total:.4g} s")
+    columns = (TextColumn("{task.description}"), BarColumn(), so_far, TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+        task = bar.add_task(label, total=seconds)
+        yield lambda time: bar.update(task, completed=time)
+
+
 def bare_table(title: str) -> Table:
     """A table in the house style, without columns."""
     return Table(

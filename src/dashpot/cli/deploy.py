@@ -162,10 +162,10 @@ class FrankaServer:
     """Share of the drives' friction that the robot compensates [-]."""
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
     """Address to listen at, port 1337; 127.0.0.2 and so on serve a second robot on the same machine."""
-    lock_step: bool = False
+    lock_step: Flag = False
     """A millisecond passes when the client has answered, not on the clock: what runs once, repeats bit by
     bit."""
-    forgiving: bool = False
+    forgiving: Flag = False
     """Count lost packets, but do not stop the robot for 20 in a row."""
     seed: Number = 0
     """Seed of sensor noise and dropped samples."""

@@ -115,7 +115,7 @@ class Identify:
     """Relative scale error of the torque sensors [-], where it is known: 0.01 reads 1 % too much."""
     sampling: Annotated[
         Literal["average", "point"] | None,
-        tyro.conf.arg(help_behavior_hint="(default: what the log says, else point)"),
+        tyro.conf.arg(metavar="average|point", help_behavior_hint="(default: what the log says, else point)"),
     ] = None
     """Torque samples are means over the last period, or the latest value."""
     states: Annotated[str, tyro.conf.arg(metavar="TOPIC")] = "/joint_states"

@@ -48,8 +48,9 @@ class Completion:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.cli.entry import parse
+        from dashpot.cli.overview import COMMANDS
+        from dashpot.cli.parsing import print_completion
 
         with suppress(SystemExit):
-            parse(["--tyro-print-completion", self.shell])
+            print_completion(COMMANDS, self.shell)
         return 0

@@ -62,7 +62,7 @@ class Simulate:
     payload_at: PayloadChanges = ()
     """From this time on [s] the flange carries this mass [kg] at the same offset, 0: it has let go; may be
     given several times."""
-    supervise: bool = False
+    supervise: Flag = False
     """Run the supervisor around the controller, as on a robot: it checks every signal, brakes without
     encoders or without torque sensors, and closes the mechanical brakes last (docs/supervisor.md)."""
     gravity_compensation: Flag = False
@@ -104,8 +104,8 @@ class Studio:
     """Mass on the flange to begin with [kg]."""
     offset: Offset = (0.0,)
     """Its centre in the flange frame [m]: one number along x, or three."""
-    supervise: bool = True
-    """Whether the supervisor is in charge to begin with."""
+    supervise: Flag = True
+    """Begin without the supervisor in charge."""
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
     """Address to listen at; others than this machine's own let others use the studio."""
     port: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 8080

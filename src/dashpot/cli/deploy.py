@@ -102,7 +102,7 @@ class Export:
     Example: dashpot export fr3 fr3 --to c --supervised
 
     The certificate of exactly these coefficients is computed and goes into the file. Exit status: 0 written
-    and certified, 1 written but NOT CERTIFIED, 2 bad input. docs/export.md has complete programs.
+    and certified, 1 written but not certified, 2 bad input. docs/export.md has complete programs.
     """
 
     robot: RobotFile

@@ -15,7 +15,7 @@ from dashpot.arm.drive import Drive
 from dashpot.certify.box import DRIVE
 from dashpot.certify.certificate import DOCUMENT, STATEMENT, Certificate, JointCertificate
 from dashpot.certify.testbench import hidden, suggested_tap
-from dashpot.commands.shared import file_names, new_table
+from dashpot.commands.shared import file_names, new_table, verdict
 from dashpot.control.controller import Law
 
 if TYPE_CHECKING:
@@ -59,11 +59,12 @@ def show(
         console.print(f"{names}: left to the robot's own position loop, taken to be passive", highlight=False)
     console.print()
     if certificate.certified:
-        console.print("[bold green]certified[/]", highlight=False)
+        console.print(verdict(True, "certified"), highlight=False)
     else:
         failed = sum(not joint.certified for joint in certificate.joints)
         console.print(
-            f"[bold red]not certified[/]: {failed} of {len(certificate.joints)} joints", highlight=False
+            f"{verdict(False, 'not certified')}: {failed} of {len(certificate.joints)} joints",
+            highlight=False,
         )
     if certificate.certified:
         console.print(STATEMENT, highlight=False, style="dim")
@@ -98,8 +99,8 @@ def _table(certificate: Certificate, options: Certify) -> Table:
             if brake is None:
                 row.append("-")
             else:
-                verdict = "[green]certified[/]" if brake.proven else "[red]no[/]"
-                row.append(f"{verdict} {number(brake.worst.value)}")
+                proven = "[green]certified[/]" if brake.proven else "[red]no[/]"
+                row.append(f"{proven} {number(brake.worst.value)}")
         table.add_row(*row)
     return table
 

@@ -11,14 +11,14 @@ from rich.table import Table
 
 from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import Certificate, certify_arm
-from dashpot.commands.shared import check_place, progress
+from dashpot.commands.shared import check_place, progress, verdict
 from dashpot.control.controller import Controller, ControllerConfig, load_controller
 from dashpot.errors import InputError
 from dashpot.export.c import Export as Exported
 from dashpot.export.compiler import compiler
 from dashpot.export.fmu import write_fmu
 from dashpot.export.names import c_name
-from dashpot.export.summary import verdict
+from dashpot.export.summary import verdict as stated
 from dashpot.support.output import whole_folder
 from dashpot.support.waiting import waiting
 
@@ -76,8 +76,8 @@ def _show(made: Exported, options: Export, compiled: str | None) -> None:
         f"[bold]{escape(what)}[/] as {kind}{', supervised' if made.settings else ''}", highlight=False
     )
     good = made.certificate is not None and made.certificate.certified
-    colour = "bold green" if good else "bold red"
-    console.print(f"[{colour}]{escape(verdict(made.certificate))}[/]", highlight=False)
+    said, _, why = stated(made.certificate).partition(":")
+    console.print(verdict(good, said.lower()) + (f":{escape(why)}" if why else ""), highlight=False)
     if made.settings is not None and made.limits is None:
         console.print("[yellow]no model: angles are not checked against the joints' ranges[/]")
     console.print()

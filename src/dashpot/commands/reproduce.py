@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from dashpot.commands.shared import verdict
 from dashpot.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,9 +38,9 @@ def reproduce(out: Path, seeds: int, threads: int | None) -> int:
     console = Console()
     console.print(_relations_table(relations, seeds))
     failed = sum(not relation.holds for relation in relations)
-    verdict = "[green]every relation holds[/]" if not failed else f"[bold red]{failed} relations fail[/]"
+    said = verdict(not failed, f"{failed} relations fail" if failed else "every relation holds")
     console.print(
-        f"{verdict} ({results['seconds']:.0f} s); open {escape(str(out / 'report.html'))}", highlight=False
+        f"{said} ({results['seconds']:.0f} s); open {escape(str(out / 'report.html'))}", highlight=False
     )
     return 1 if failed else 0
 
@@ -65,7 +66,7 @@ def _relations_table(relations: list[Relation], seeds: int) -> Table:
             figure = this
         least = group[0].sense == "at least"
         worst = (min if least else max)(relation.value for relation in group)
-        mark = "[green]✓[/]" if all(relation.holds for relation in group) else "[bold red]✗[/]"
+        mark = "[green]✓[/]" if all(relation.holds for relation in group) else "[red]✗[/]"
         table.add_row(
             f"{mark} {escape(text)}",
             f"{'>=' if least else '<='} {group[0].limit:g}",

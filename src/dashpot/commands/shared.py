@@ -63,6 +63,11 @@ def clock(label: str, seconds: float) -> Iterator[Callable[[float], None]]:
         yield lambda time: bar.update(task, completed=time)
 
 
+def verdict(good: bool, words: str) -> str:
+    """A command's last word, in bold; what it is about follows it plain. Verdicts within tables are not."""
+    return f"[bold {'green' if good else 'red'}]{words}[/]"
+
+
 def bare_table(title: str) -> Table:
     """A table in the house style, without columns."""
     return Table(

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from dashpot.arm.plant import Plant
 from dashpot.arm.robot import Robot
-from dashpot.commands.shared import bare_table
+from dashpot.commands.shared import bare_table, verdict
 from dashpot.commands.simulate_faults import Mark, draw_marks, legend_entries, listed
 from dashpot.control.controller import TORQUE_LIMITED, Controller
 from dashpot.simulation.recording import Recording
@@ -121,7 +121,8 @@ def show(
         console.print(f"[yellow]{line}[/]", highlight=False)
     if recording.diverged_at is not None:
         console.print(
-            f"[bold red]diverged[/] at {recording.diverged_at:.3f} s: the loop is unstable with this payload",
+            f"{verdict(False, 'diverged')} at {recording.diverged_at:.3f} s: "
+            "the loop is unstable with this payload",
             highlight=False,
         )
     elif (recording.status & TORQUE_LIMITED).any():

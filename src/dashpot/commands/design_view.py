@@ -17,9 +17,9 @@ from dashpot.design.quantities import (
     QUANTITIES,
     binding_text,
     predicted_text,
-    significant,
 )
 from dashpot.design.words import assumptions, conflict_lines, sinking
+from dashpot.support.numbers import significant
 
 if TYPE_CHECKING:
     from dashpot.cli.design import Design as Options
@@ -66,8 +66,8 @@ def _end(console: Console, result: Design, robot: Robot, options: Options) -> No
     if not result.feasible:
         failed = sum(joint.found is None for joint in result.joints)
         console.print(
-            f"{verdict(False, 'no design')}: {failed} of {len(result.joints)} joints have no certified gains; "
-            "no controller is written",
+            f"{verdict(False, 'no design')}: {failed} of {len(result.joints)} joints have no certified "
+            "gains; no controller is written",
             highlight=False,
         )
         console.print(f"open {escape(str(out / 'report.html'))}", highlight=False)

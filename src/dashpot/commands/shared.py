@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -66,6 +67,17 @@ def clock(label: str, seconds: float) -> Iterator[Callable[[float], None]]:
 def verdict(good: bool, words: str) -> str:
     """A command's last word, in bold; what it is about follows it plain. Verdicts within tables are not."""
     return f"[bold {'green' if good else 'red'}]{words}[/]"
+
+
+def print_command(console: Console, command: str) -> None:
+    """Prints a command to be copied, dim: on a terminal it goes on below between its words, as a shell reads
+    it, and elsewhere it is one line.
+    """
+    lines = [command]
+    if console.is_terminal:
+        lines = textwrap.wrap(command, console.width - 6, break_long_words=False, break_on_hyphens=False)
+    text = " \\\n      ".join(lines)
+    console.print(f"    {escape(text)}", highlight=False, soft_wrap=True, style="dim")
 
 
 def bare_table(title: str) -> Table:

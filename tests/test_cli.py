@@ -468,3 +468,19 @@ def test_help_keeps_to_the_terminal_and_to_its_words(dashpot, monkeypatch, name,
     assert "None" not in page
     assert "default: False" not in page
     assert "may be given several times" in re.sub(r"[\s│]+", " ", page) or "--fault" not in page
+
+
+def test_errors_are_counted_until_the_supervisor_stops_the_arm(dashpot, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    fault = ("--fault", "encoder_frozen:joint6@0.5", "--supervise")
+    status, out, _ = dashpot(*SHORT[:3], "--duration", 2, *fault)
+    assert status == 0
+    recording = Recording.load("out/simulate/recording.npz")
+    stop = recording.settings["supervisor"]["decisions"][0]["time"]
+    assert 0.5 <= stop < 0.6
+    assert f"all before the supervisor stops the arm at {stop:.4g} s" in out
+    shown = (recording.time >= 0) & (recording.time < stop - 1e-9)
+    error = np.degrees((recording.reference - recording.link_position)[shown, 5])
+    said = re.search(r"^joint6 +VPC +(\S+) +(\S+)", out, re.M)
+    assert float(said[1]) == pytest.approx(error.mean(), abs=1e-3)
+    assert float(said[2]) == pytest.approx(error.std(), abs=1e-3)

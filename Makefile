@@ -123,13 +123,16 @@ evidence-studio: $(VENV)/.test
 
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "dashpot needs Python 3.11 or newer; try: make PYTHON=python3.11")'
+	@echo "setting up: a virtual environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: $(NATIVE) $(FOLDERS) | $(VENV)/bin/python
+	@echo "setting up: packages, and compiling the native code, a minute or two"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	touch $@
 
 $(VENV)/.test: $(VENV)/.installed
+	@echo "setting up: what the tests need, a minute or two"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
 	@command -v chromium > /dev/null || command -v chromium-browser > /dev/null || command -v google-chrome > /dev/null || \
 	  PLAYWRIGHT_DOWNLOAD_CONNECTION_TIMEOUT=10000 $(BIN)/python -m playwright install chromium > /dev/null 2>&1 || \

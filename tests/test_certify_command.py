@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -257,3 +258,19 @@ def test_what_cannot_be_certified_is_said_and_drawn(files, dashpot, tmp_path, ro
     if said:
         with np.load(tmp_path / "out" / "map" / "wrist_1_.npz") as saved:
             assert (saved["index"] < 0).all()
+
+
+def test_joints_of_which_the_same_holds_are_explained_together(tmp_path, monkeypatch, dashpot):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    status, out, _ = dashpot("certify", "k807", "k807-wrist")
+    assert status == 1
+    assert len(re.findall("oscillates at", out)) == 1
+    assert "joint5, joint6, joint7: at the worst point" in out
+    assert not re.search(r"\de[+-]\d", out)  # no exponents
+    head, _, first = out.splitlines()[1:4]
+    assert re.split("  +", head.strip()) == [
+        *("joint", "index", "worst", "margin", "at [Hz]", "verdict", "as brake", "worst")
+    ]
+    assert len(re.split("  +", first.strip())) == 8
+    assert max(len(line) for line in out.splitlines() if "dashpot simulate" not in line) <= 80

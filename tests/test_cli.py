@@ -17,6 +17,8 @@ import pytest
 from dashpot.arm.plant import build
 from dashpot.arm.robot import Robot
 from dashpot.cli import main
+from dashpot.cli.help import usage
+from dashpot.cli.overview import COMMANDS
 from dashpot.control.controller import Controller, load_controller
 from dashpot.errors import InputError
 from dashpot.simulation.recording import Recording
@@ -429,3 +431,56 @@ def test_a_reader_that_leaves_is_no_error(arguments):
     assert command.stderr.read() == b""
     command.stderr.close()
     assert command.wait() == 141
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("simulate k807", "CONTROLLER: is missing; usage: dashpot simulate ROBOT CONTROLLER ..."),
+        ("simulate", "ROBOT and CONTROLLER: are missing; usage: dashpot simulate ROBOT CONTROLLER ..."),
+        ("identify log", "--robot: is missing; usage: dashpot identify LOG --robot ROBOT ..."),
+        ("simulate a b --payload x", "--payload = 'x': must be a number; dashpot simulate --help says more"),
+        ("replay a b", "INDEX = 'b': must be a whole number; dashpot replay --help says more"),
+        ("plot a --window 1", "--window: must be 2 numbers; dashpot plot --help says more"),
+        ("simulate a b --tap", "--tap: needs a value; dashpot simulate --help says more"),
+        ("simulate --paylod 2 a b", "--paylod: no such option; did you mean --payload?"),
+        ("simulate a b --stop-time 2", "--stop-time: no such option; dashpot simulate --help lists them"),
+        ("studio --supervise", "--supervise: no such option; did you mean --no-supervise?"),
+        ("simulate a b c", "c: is one word too many; usage: dashpot simulate ROBOT CONTROLLER ..."),
+        ("studio a b c", "c: is one word too many; usage: dashpot studio [ROBOT] [CONTROLLER] ..."),
+        ("doctor --json=3", "--json = '3': takes no value"),
+        ("export a b --to rust", "--to = 'rust': must be c or fmu"),
+        ("campaign --preset all", "--preset = 'all': must be readiness"),
+    ],
+)
+def test_what_cannot_be_read_is_said_in_one_line_of_this_command(dashpot, typed, said):
+    assert dashpot(*typed.split()) == (2, "", [f"dashpot: error: {said}"])
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("columns", [80, 120])
+def test_help_keeps_to_the_terminal_and_to_its_words(dashpot, monkeypatch, name, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    status, page, err = dashpot(name, "--help")
+    assert (status, err) == (0, [])
+    assert max(map(len, page.splitlines())) <= columns
+    assert page.startswith(f"usage: {usage(name, COMMANDS[name])}\n")
+    assert "None" not in page
+    assert "default: False" not in page
+    assert "may be given several times" in re.sub(r"[\s│]+", " ", page) or "--fault" not in page
+
+
+def test_errors_are_counted_until_the_supervisor_stops_the_arm(dashpot, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    fault = ("--fault", "encoder_frozen:joint6@0.5", "--supervise")
+    status, out, _ = dashpot(*SHORT[:3], "--duration", 2, *fault)
+    assert status == 0
+    recording = Recording.load("out/simulate/recording.npz")
+    stop = recording.settings["supervisor"]["decisions"][0]["time"]
+    assert 0.5 <= stop < 0.6
+    assert f"all before the supervisor stops the arm at {stop:.4g} s" in out
+    shown = (recording.time >= 0) & (recording.time < stop - 1e-9)
+    error = np.degrees((recording.reference - recording.link_position)[shown, 5])
+    said = re.search(r"^joint6 +VPC +(\S+) +(\S+)", out, re.M)
+    assert float(said[1]) == pytest.approx(error.mean(), abs=1e-3)
+    assert float(said[2]) == pytest.approx(error.std(), abs=1e-3)

@@ -443,7 +443,7 @@ def test_on_a_terminal_it_keeps_a_line_that_is_gone_at_the_end():
     os.close(ours)
     out, _ = process.communicate(timeout=60)
     assert b"track" in seen, out.decode()
-    assert b"late " in seen
+    assert b"jitter " in seen
     assert seen.rstrip().endswith(b"\x1b[2K")  # the line is taken back
     assert b"cycles of 5 ms" in out
 

@@ -12,6 +12,7 @@ from dashpot.certify.joint import SPEED, SampledJoint
 from dashpot.certify.loads import GROWS, Load, loops, oscillation, radii
 from dashpot.certify.threads import one_thread
 from dashpot.support.arrays import Floats
+from dashpot.support.numbers import significant
 
 INERTIAS = (  # of the rotor's, 9 % apart, narrower than known windows; far-fetched ones last
     np.geomspace(1e-2, 1e3, 134),
@@ -48,7 +49,7 @@ class Counterexample:
 
 def _rate(growth: float) -> str:
     doubling = np.log(2) / growth
-    return f"twofold in {doubling:.2g} s" if doubling < 1000 else f"by {growth:.1g}/s"
+    return f"twofold in {significant(doubling, 2)} s" if doubling < 1000 else f"by {growth:.1g}/s"
 
 
 @one_thread

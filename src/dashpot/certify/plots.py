@@ -20,6 +20,7 @@ from dashpot.certify.threads import one_thread
 from dashpot.control.controller import ControllerConfig, JointGains, Law
 from dashpot.control.sampled import VirtualPassive, empty_block, virtual_passive_block
 from dashpot.support.arrays import Floats
+from dashpot.support.numbers import significant
 from dashpot.support.plots import BLACK, BLUE, VERMILLION, Figure, new_figure
 
 DECADES = 1.5  # of gains shown on each side of the current ones
@@ -94,7 +95,7 @@ def draw(joint: JointCertificate, drive: Drive, law: Law, config: ControllerConf
     verdict = "certified" if joint.certified else "not certified"
     figure.suptitle(
         f"{joint.name}: {verdict}, index {_number(joint.nominal.value)} nominal, "
-        f"{_number(joint.box.worst.value)} at worst [N m s/rad]",
+        f"{_number(joint.box.worst.value)} at worst",
         parse_math=False,
     )
     return figure
@@ -123,7 +124,7 @@ def _plane(
 
 
 def _number(value: float) -> str:
-    return f"{value:.2g}" if np.isfinite(value) else "-inf"
+    return f"{significant(value, 2)} N m s/rad" if np.isfinite(value) else "unstable"
 
 
 def _map(

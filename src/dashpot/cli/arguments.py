@@ -13,7 +13,7 @@ CONTROLLERS = "Controller TOML, or k807-wrist, k807-resonant, fr3, iiwa14."
 RobotFile = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT", help=ROBOTS)]
 ControllerFile = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CONTROLLER", help=CONTROLLERS)]
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 Number = Annotated[int, tyro.conf.arg(metavar="NUMBER")]
 PerCore = Annotated[int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: one per core)")]
 Mass = Annotated[float, tyro.conf.arg(metavar="KG")]

@@ -19,6 +19,7 @@ from dashpot.cli.arguments import (
     PayloadChanges,
     RobotFile,
 )
+from dashpot.support.waiting import waiting
 
 
 @dataclass
@@ -88,7 +89,8 @@ class Run:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.run import run
+        with waiting("starting"):
+            from dashpot.commands.run import run
 
         return run(self)
 
@@ -100,7 +102,7 @@ class Export:
     Example: dashpot export fr3 fr3 --to c --supervised
 
     The certificate of exactly these coefficients is computed and goes into the file. Exit status: 0 written
-    and certified, 1 written but NOT CERTIFIED, 2 bad input. docs/export.md has complete programs.
+    and certified, 1 written but not certified, 2 bad input. docs/export.md has complete programs.
     """
 
     robot: RobotFile
@@ -126,7 +128,8 @@ class Export:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.export import export
+        with waiting("starting"):
+            from dashpot.commands.export import export
 
         return export(self)
 
@@ -159,10 +162,10 @@ class FrankaServer:
     """Share of the drives' friction that the robot compensates [-]."""
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
     """Address to listen at, port 1337; 127.0.0.2 and so on serve a second robot on the same machine."""
-    lock_step: bool = False
+    lock_step: Flag = False
     """A millisecond passes when the client has answered, not on the clock: what runs once, repeats bit by
     bit."""
-    forgiving: bool = False
+    forgiving: Flag = False
     """Count lost packets, but do not stop the robot for 20 in a row."""
     seed: Number = 0
     """Seed of sensor noise and dropped samples."""
@@ -171,6 +174,7 @@ class FrankaServer:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.franka_server import franka_server
+        with waiting("starting"):
+            from dashpot.commands.franka_server import franka_server
 
         return franka_server(self)

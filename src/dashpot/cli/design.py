@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from dashpot.cli.arguments import ControllerFile, Flag, Folder, Joints, PerCore, RobotFile
+from dashpot.support.waiting import waiting
 
 
 @dataclass
@@ -153,7 +154,8 @@ class Design:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.design import design
+        with waiting("starting"):
+            from dashpot.commands.design import design
 
         return design(self)
 
@@ -178,7 +180,8 @@ class Certify:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.certify import certify
+        with waiting("starting"):
+            from dashpot.commands.certify import certify
 
         return certify(self)
 
@@ -201,6 +204,7 @@ class Map:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.certify import map_gains
+        with waiting("starting"):
+            from dashpot.commands.certify import map_gains
 
         return map_gains(self)

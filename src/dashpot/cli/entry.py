@@ -10,35 +10,36 @@ import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any, Union
-
-import tyro
+from typing import Any
 
 from dashpot.cli.overview import COMMANDS, overview
+from dashpot.cli.parsing import parse_command
 from dashpot.errors import DashpotError, InputError, InputWarning
+from dashpot.support.waiting import above
 
 
 def parse(arguments: Sequence[str]) -> Any:
     """The command that was typed; what needs no command is answered here, and ends."""
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(overview())
+        print(overview(bold=sys.stdout.isatty() and os.environ.get("TERM") != "dumb"))
         sys.exit(0 if arguments else 2)
     if arguments[0] == "--version":
         from dashpot import __version__
 
         print(f"dashpot {__version__}")
         sys.exit(0)
-    if not arguments[0].startswith("-") and arguments[0] not in COMMANDS:
-        near = difflib.get_close_matches(arguments[0], COMMANDS, 1)
+    name = arguments[0]
+    if name not in COMMANDS:
+        near = difflib.get_close_matches(name, COMMANDS, 1)
         meant = f"did you mean {near[0]}?" if near else "dashpot --help lists them"
-        raise InputError(f"no such command; {meant}", quantity="command", value=arguments[0])
-    choices = tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items())
-    return tyro.cli(Union[choices], prog="dashpot", args=arguments)  # type: ignore[call-overload]  # noqa: UP007
+        raise InputError(f"no such command; {meant}", quantity="command", value=name)
+    return parse_command(name, COMMANDS[name], arguments[1:])
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     label = "warning" if issubclass(category, InputWarning) else category.__name__
-    print(f"dashpot: {label}: {message}", file=sys.stderr)
+    with above():
+        print(f"dashpot: {label}: {message}", file=sys.stderr)
 
 
 class _Terminated(KeyboardInterrupt):

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from dashpot.cli.arguments import Flag, Folder, Joints, Number, Offset
+from dashpot.support.waiting import waiting
 
 
 @dataclass
@@ -49,7 +50,8 @@ class Excite:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.excite import excite
+        with waiting("starting"):
+            from dashpot.commands.excite import excite
 
         return excite(self)
 
@@ -84,7 +86,8 @@ class Plot:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.plot import plot
+        with waiting("starting"):
+            from dashpot.commands.plot import plot
 
         return plot(self)
 
@@ -112,7 +115,7 @@ class Identify:
     """Relative scale error of the torque sensors [-], where it is known: 0.01 reads 1 % too much."""
     sampling: Annotated[
         Literal["average", "point"] | None,
-        tyro.conf.arg(help_behavior_hint="(default: what the log says, else point)"),
+        tyro.conf.arg(metavar="average|point", help_behavior_hint="(default: what the log says, else point)"),
     ] = None
     """Torque samples are means over the last period, or the latest value."""
     states: Annotated[str, tyro.conf.arg(metavar="TOPIC")] = "/joint_states"
@@ -130,6 +133,7 @@ class Identify:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.identify import identify
+        with waiting("starting"):
+            from dashpot.commands.identify import identify
 
         return identify(self)

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from dashpot.cli.arguments import Flag
+from dashpot.support.waiting import waiting
 
 
 @dataclass
@@ -27,7 +28,8 @@ class Doctor:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.doctor import doctor
+        with waiting("starting"):
+            from dashpot.commands.doctor import doctor
 
         return doctor(self)
 
@@ -46,8 +48,9 @@ class Completion:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.cli.entry import parse
+        from dashpot.cli.overview import COMMANDS
+        from dashpot.cli.parsing import print_completion
 
         with suppress(SystemExit):
-            parse(["--tyro-print-completion", self.shell])
+            print_completion(COMMANDS, self.shell)
         return 0

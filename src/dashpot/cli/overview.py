@@ -37,20 +37,21 @@ dashpot design fr3 track --payload 3   gains of your own, certified
 NARROWEST, WIDEST = 80, 100  # characters
 
 
-def overview() -> str:
-    """The page: every command with a line, by stage."""
+def overview(*, bold: bool = False) -> str:
+    """The page: every command with a line, by stage; its headings bold for a terminal that knows how."""
+    heading = "\x1b[1m{}\x1b[0m" if bold else "{}"
     width = min(max(shutil.get_terminal_size().columns, NARROWEST), WIDEST)
     indent = max(map(len, COMMANDS)) + 4
     lines = ["usage: dashpot COMMAND ... | dashpot COMMAND --help | dashpot --version", ""]
     lines += ["Virtual passive control for torque-sensed robot joints.", ""]
     for stage, commands in STAGES.items():
-        lines.append(stage)
+        lines.append(heading.format(stage))
         for name, kind in commands.items():
             words = textwrap.wrap(summary(kind), width - indent)
             lines.append(f"  {name}".ljust(indent) + words[0])
             lines += [" " * indent + more for more in words[1:]]
         lines.append("")
-    lines += ["To begin with", *(f"  {line}" for line in _FIRST.strip().splitlines())]
+    lines += [heading.format("To begin with"), *(f"  {line}" for line in _FIRST.strip().splitlines())]
     lines += ["", "ROBOT and CONTROLLER are TOML files or names of bundled ones."]
     lines += ["Exit status: 0 done, 1 the answer is no, 2 bad input. Guides: docs/."]
     return "\n".join(lines)

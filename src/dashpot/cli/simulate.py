@@ -19,6 +19,7 @@ from dashpot.cli.arguments import (
     PerCore,
     RobotFile,
 )
+from dashpot.support.waiting import waiting
 
 
 @dataclass
@@ -60,7 +61,7 @@ class Simulate:
     payload_at: PayloadChanges = ()
     """From this time on [s] the flange carries this mass [kg] at the same offset, 0: it has let go; may be
     given several times."""
-    supervise: bool = False
+    supervise: Flag = False
     """Run the supervisor around the controller, as on a robot: it checks every signal, brakes without
     encoders or without torque sensors, and closes the mechanical brakes last (docs/supervisor.md)."""
     gravity_compensation: bool = True
@@ -76,7 +77,8 @@ class Simulate:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.simulate import simulate
+        with waiting("starting"):
+            from dashpot.commands.simulate import simulate
 
         return simulate(self)
 
@@ -101,8 +103,8 @@ class Studio:
     """Mass on the flange to begin with [kg]."""
     offset: Offset = (0.0,)
     """Its centre in the flange frame [m]: one number along x, or three."""
-    supervise: bool = True
-    """Whether the supervisor is in charge to begin with."""
+    supervise: Flag = True
+    """Begin without the supervisor in charge."""
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
     """Address to listen at; others than this machine's own let others use the studio."""
     port: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 8080
@@ -116,7 +118,8 @@ class Studio:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.studio import studio
+        with waiting("starting"):
+            from dashpot.commands.studio import studio
 
         return studio(self)
 
@@ -161,7 +164,8 @@ class Campaign:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.campaign import campaign
+        with waiting("starting"):
+            from dashpot.commands.campaign import campaign
 
         return campaign(self)
 
@@ -184,7 +188,8 @@ class Report:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.report import report
+        with waiting("starting"):
+            from dashpot.commands.report import report
 
         return report(self)
 
@@ -208,7 +213,8 @@ class Replay:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.campaign import replay
+        with waiting("starting"):
+            from dashpot.commands.campaign import replay
 
         return replay(self)
 
@@ -229,6 +235,7 @@ class Reproduce:
 
     def run(self) -> int:
         """Runs the command."""
-        from dashpot.commands.reproduce import reproduce
+        with waiting("starting"):
+            from dashpot.commands.reproduce import reproduce
 
         return reproduce(self.out, self.seeds, self.threads)

@@ -25,6 +25,7 @@ from dashpot.errors import DashpotError, InputError
 from dashpot.simulation.engine import quiet_engine
 from dashpot.support.output import whole_folder
 from dashpot.support.plots import save
+from dashpot.support.waiting import waiting
 from dashpot.support.workers import remembered_interrupts
 
 if TYPE_CHECKING:
@@ -62,9 +63,10 @@ def campaign(options: Options) -> int:
     source = options.preset or options.spec
     assert source is not None
     robot = None if options.robot is None else _absolute(options.robot)
-    spec = Spec.load(source, robot=robot, controller=tuple(map(_absolute, options.controller)))
-    plan = Campaign(spec)
-    plan.check()
+    with waiting("preparing"):
+        spec = Spec.load(source, robot=robot, controller=tuple(map(_absolute, options.controller)))
+        plan = Campaign(spec)
+        plan.check()
     out = options.out
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         check_same(out, attributes(out), plan)
@@ -106,7 +108,8 @@ def replay(options: Replay) -> int:
     needs_campaign_extra()
     quiet_engine()
     check_place(options.out, [options.dataset])
-    plan = campaign_of(options.dataset)
+    with waiting("preparing"):
+        plan = campaign_of(options.dataset)
     setting = plan.setting(options.index)
     scenario = plan.assemble(setting)
     controller = scenario.controller
@@ -128,7 +131,8 @@ def replay(options: Replay) -> int:
         for key, value in setting.values.items()
     }
     with whole_folder(options.out) as folder:
-        recording = run_aside(lambda: run_one(plan, scenario))
+        with waiting("simulating"):
+            recording = run_aside(lambda: run_one(plan, scenario))
         recording.settings |= {
             "controller": name,
             "payload_kg": setting.payload.mass,
@@ -139,7 +143,8 @@ def replay(options: Replay) -> int:
             "axes": values,
         }
         recording.save(folder / "recording.npz")
-        save(draw(recording, controller, view), folder / "simulate")
+        with waiting("drawing"):
+            save(draw(recording, controller, view), folder / "simulate")
     show(recording, plan.robot, controller, scenario.plant, view)
     found = plan.measure(setting, scenario, recording)
     with open_dataset(options.dataset) as dataset:

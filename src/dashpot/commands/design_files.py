@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import dashpot
 from dashpot.design.design import Design, JointDesign
-from dashpot.design.quantities import GAINS, QUANTITIES, binding_text, significant
+from dashpot.design.quantities import GAINS, QUANTITIES, binding_text
 from dashpot.design.wishes import LIMITS, UNITS
+from dashpot.support.numbers import significant
 from dashpot.support.tables import toml_value
 
 if TYPE_CHECKING:

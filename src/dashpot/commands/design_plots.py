@@ -16,9 +16,10 @@ from dashpot.design.candidates import Gains
 from dashpot.design.design import JointDesign
 from dashpot.design.motion import move
 from dashpot.design.prover import Prover
-from dashpot.design.quantities import QUANTITIES, binding_text, significant
+from dashpot.design.quantities import QUANTITIES, binding_text
 from dashpot.design.wishes import AT_LEAST
 from dashpot.support.arrays import Floats
+from dashpot.support.numbers import significant
 from dashpot.support.plots import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION, Figure, new_figure
 
 LABEL, LINE = 34.0, 13.5  # [points] below an axis for its labels, and for a line of its legend

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dashpot.design.design import Design, JointDesign
-from dashpot.design.quantities import GAINS, QUANTITIES, binding_text, in_si, predicted_text, significant
+from dashpot.design.quantities import GAINS, QUANTITIES, binding_text, in_si, predicted_text
 from dashpot.design.wishes import AT_LEAST
 from dashpot.design.words import assumptions, conflict_lines, sinking
+from dashpot.support.numbers import significant
 from dashpot.support.report import image, page, table
 
 if TYPE_CHECKING:

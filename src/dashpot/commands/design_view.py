@@ -11,16 +11,16 @@ from rich.markup import escape
 from rich.table import Table
 
 from dashpot.arm.robot import Robot
-from dashpot.commands.shared import new_table
+from dashpot.commands.shared import new_table, verdict
 from dashpot.design.design import Design, JointDesign
 from dashpot.design.quantities import (
     GAINS,
     QUANTITIES,
     binding_text,
     predicted_text,
-    significant,
 )
 from dashpot.design.words import assumptions, conflict_lines, sinking
+from dashpot.support.numbers import significant
 
 if TYPE_CHECKING:
     from dashpot.cli.design import Design as Options
@@ -85,13 +85,13 @@ def _end(console: Console, result: Design, robot: Robot, options: Options) -> No
     if not result.feasible:
         failed = sum(joint.found is None for joint in result.joints)
         console.print(
-            f"[bold red]no design[/]: {failed} of {len(result.joints)} joints have no certified gains; no "
-            "controller is written",
+            f"{verdict(False, 'no design')}: {failed} of {len(result.joints)} joints have no certified "
+            "gains; no controller is written",
             highlight=False,
         )
         console.print(f"open {escape(str(out / 'report.html'))}", highlight=False)
         return
-    console.print("[bold green]every joint certified[/]", highlight=False)
+    console.print(verdict(True, "every joint certified"), highlight=False)
     name, controller = escape(options.robot), escape(str(out / "controller.toml"))
     commands = [f"open {escape(str(out / 'report.html'))}", f"dashpot certify {name} {controller}"]
     if robot.model is not None:

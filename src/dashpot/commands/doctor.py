@@ -14,7 +14,8 @@ from packaging.requirements import Requirement
 from rich.console import Console
 from rich.markup import escape
 
-from dashpot.commands.shared import bare_table
+from dashpot.commands.shared import bare_table, verdict
+from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
     from dashpot.cli.install import Doctor
@@ -22,12 +23,12 @@ if TYPE_CHECKING:
 State = Literal["ok", "missing", "broken", "could be better"]
 COLOURS: dict[State, str] = {"ok": "green", "missing": "yellow", "broken": "red", "could be better": "yellow"}
 EXTRAS = {
-    "campaign": "dashpot campaign, replay and report",
-    "logs": "Parquet and MCAP logs: identify, plot, run --log",
-    "studio": "dashpot studio",
-    "franka": "dashpot run --via franka",
+    "campaign": "dashpot campaign, replay and report need",
+    "logs": "Parquet and MCAP logs (identify, plot, run --log) need",
+    "studio": "dashpot studio needs",
+    "franka": "dashpot run --via franka needs",
 }
-"""What the extras for users are needed for."""
+"""What needs the extras for users."""
 SECONDS = 0.2  # of the arm that is simulated
 PRIORITY = 80  # as of dashpot run
 SAME = 1e-9  # [rad] between the engines
@@ -54,9 +55,10 @@ class Finding:
 
 def doctor(options: Doctor) -> int:
     """Prints the findings; arguments as of the command."""
-    found = [*core(), *extras(), *tools(), *realtime()]
-    if all(one.state == "ok" for one in found if one.part == "core"):
-        found.insert(sum(one.part == "core" for one in found), works())
+    with waiting("looking"):
+        found = [*core(), *extras(), *tools(), *realtime()]
+        if all(one.state == "ok" for one in found if one.part == "core"):
+            found.insert(sum(one.part == "core" for one in found), works())
     sound = all(one.state == "ok" for one in found if one.part == "core")
     if options.json:
         print(json.dumps({"works": sound, "findings": [asdict(one) for one in found]}, indent=1))
@@ -75,16 +77,20 @@ def doctor(options: Doctor) -> int:
         )
         part = one.part
     console.print(table)
+    console.print()
+    together: dict[tuple[str, State, str], list[str]] = {}  # what is mended by the same command
     for one in found:
         if one.advice:
-            console.print(
-                f"[{COLOURS[one.state]}]{escape(one.part)}, {escape(one.name)}[/]: {escape(one.advice)}",
-                soft_wrap=True,
-            )
+            together.setdefault((one.part, one.state, one.advice), []).append(one.name)
+    for (part, state, advice), names in together.items():
+        what = escape(f"{part} ({', '.join(names)})")
+        console.print(f"[{COLOURS[state]}]{what}[/]: {escape(advice)}", soft_wrap=True)
+    if together:
+        console.print()
     if sound:
-        console.print("\ndashpot works here.", style="green")
+        console.print(verdict(True, "dashpot works here"))
     else:
-        console.print("\ndashpot does not work here: see what is broken above.", style="red")
+        console.print(f"{verdict(False, 'dashpot does not work here')}: see what is broken above")
     return 0 if sound else 1
 
 
@@ -114,12 +120,10 @@ def extras() -> Iterator[Finding]:
             if one.marker is None or not found:
                 continue
             if one.marker.evaluate({"extra": extra}):
-                yield _package(extra, one, "missing", f"{use} needs it: pip install 'dashpot[{extra}]'")
+                yield _package(extra, one, "missing", f"{use} it: pip install 'dashpot[{extra}]'")
             else:
                 rule = rule.removesuffix(" and ").strip()
-                yield Finding(
-                    extra, one.name, "missing", "not for this Python or machine", f"{use} needs {rule}"
-                )
+                yield Finding(extra, one.name, "missing", "not for this Python or machine", f"{use} {rule}")
 
 
 def _asked() -> list[Requirement]:
@@ -130,10 +134,15 @@ def _package(part: str, asked: Requirement, lack: State, advice: str) -> Finding
     try:
         version = metadata.version(asked.name)
     except metadata.PackageNotFoundError:
-        return Finding(part, asked.name, lack, f"not installed, {asked.specifier} is needed", advice)
+        return Finding(part, asked.name, lack, f"not installed; needs {_bounds(asked)}", advice)
     if asked.specifier.contains(version, prereleases=True):
         return Finding(part, asked.name, "ok", version)
-    return Finding(part, asked.name, lack, f"{version}, {asked.specifier} is needed", advice)
+    return Finding(part, asked.name, lack, f"{version}; needs {_bounds(asked)}", advice)
+
+
+def _bounds(asked: Requirement) -> str:
+    """Lowest version first."""
+    return ", ".join(sorted(map(str, asked.specifier), reverse=True))
 
 
 def tools() -> Iterator[Finding]:

@@ -17,6 +17,7 @@ from dashpot.logs.motionfile import write_motion
 from dashpot.simulation.engine import quiet_engine
 from dashpot.support.output import whole_folder
 from dashpot.support.plots import save
+from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
     from dashpot.cli.identify import Excite
@@ -33,16 +34,17 @@ def excite(options: Excite) -> int:
     period = PERIOD if options.controller is None else load_controller(options.controller).period
     payloads = [Payload(mass, payload_offset(options.offset)) for mass in options.payload]
     quiet_engine()
-    found = search(
-        robot,
-        duration=options.duration,
-        period=period,
-        joints=options.joints,
-        payloads=payloads,
-        limits=limits,
-        seed=options.seed,
-    )
-    with whole_folder(options.out) as folder:
+    with waiting("looking for a motion"):
+        found = search(
+            robot,
+            duration=options.duration,
+            period=period,
+            joints=options.joints,
+            payloads=payloads,
+            limits=limits,
+            seed=options.seed,
+        )
+    with waiting("drawing"), whole_folder(options.out) as folder:
         write_motion(folder / "motion.csv", found.trajectory, robot.joints)
         save(draw(found, limits), folder / "motion")
     show(found, limits, options)

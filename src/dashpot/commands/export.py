@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 from rich.markup import escape
@@ -11,15 +11,16 @@ from rich.table import Table
 
 from dashpot.arm.robot import Robot
 from dashpot.certify.certificate import Certificate, certify_arm
-from dashpot.commands.shared import check_place, progress
+from dashpot.commands.shared import check_place, progress, verdict
 from dashpot.control.controller import Controller, ControllerConfig, load_controller
 from dashpot.errors import InputError
 from dashpot.export.c import Export as Exported
 from dashpot.export.compiler import compiler
 from dashpot.export.fmu import write_fmu
 from dashpot.export.names import c_name
-from dashpot.export.summary import verdict
+from dashpot.export.summary import verdict as stated
 from dashpot.support.output import whole_folder
+from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
     from dashpot.cli.deploy import Export
@@ -44,7 +45,9 @@ def export(options: Export) -> int:
             (folder / f"{name}.h").write_text(made.header(), encoding="ascii")
         else:
             binary = not options.sources_only and compiler() is not None
-            compiled = write_fmu(made, folder / f"{name}.fmu", 2 if options.fmi == "2" else 3, binary=binary)
+            with waiting("compiling" if binary else "writing"):
+                version: Literal[2, 3] = 2 if options.fmi == "2" else 3
+                compiled = write_fmu(made, folder / f"{name}.fmu", version, binary=binary)
     _show(made, options, compiled)
     return 0 if certificate is not None and certificate.certified else 1
 
@@ -73,8 +76,8 @@ def _show(made: Exported, options: Export, compiled: str | None) -> None:
         f"[bold]{escape(what)}[/] as {kind}{', supervised' if made.settings else ''}", highlight=False
     )
     good = made.certificate is not None and made.certificate.certified
-    colour = "bold green" if good else "bold red"
-    console.print(f"[{colour}]{escape(verdict(made.certificate))}[/]", highlight=False)
+    said, _, why = stated(made.certificate).partition(":")
+    console.print(verdict(good, said.lower()) + (f":{escape(why)}" if why else ""), highlight=False)
     if made.settings is not None and made.limits is None:
         console.print("[yellow]no model: angles are not checked against the joints' ranges[/]")
     console.print()

@@ -19,6 +19,7 @@ from dashpot.identify.writeback import CONFIDENCE, bundled, too_wide, write_back
 from dashpot.logs import Topics, read_log
 from dashpot.logs.log import Log
 from dashpot.support.output import whole_folder
+from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
     from dashpot.cli.identify import Identify
@@ -33,7 +34,8 @@ def identify(options: Identify) -> int:
     robot = Robot.load(options.robot)
     _check(options, robot)
     topics = Topics(options.states, options.commands, options.links)
-    log = read_log(options.log, sampling=options.sampling, topics=topics)
+    with waiting("reading the log"):
+        log = read_log(options.log, sampling=options.sampling, topics=topics)
     joints = _joints(options, log, robot)
     aligned = _without_weight(log, robot) if robot.gravity_compensation else None
     estimate = one_thread(identify_joint)

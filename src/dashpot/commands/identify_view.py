@@ -15,7 +15,7 @@ from rich.table import Table
 from dashpot.arm.drive import Drive
 from dashpot.arm.robot import Robot
 from dashpot.commands.identify import lacking
-from dashpot.commands.shared import file_names, new_table
+from dashpot.commands.shared import file_names, new_table, verdict
 from dashpot.identify import DriveEstimate, Estimate
 from dashpot.identify.writeback import too_wide
 from dashpot.logs.log import Log
@@ -53,12 +53,13 @@ def show(
     missing = lacking(estimates)
     if missing:
         console.print(
-            f"[bold red]refused[/]: {_list(missing)}: the log does not tell their inertia and friction",
+            f"{verdict(False, 'refused')}: {_list(missing)}: "
+            "the log does not tell their inertia and friction",
             highlight=False,
         )
     else:
         rest = ", but for what is refused above" if any(estimate.refused for estimate in estimates) else ""
-        console.print(f"[bold green]identified[/]{rest}", highlight=False)
+        console.print(verdict(True, "identified") + rest, highlight=False)
     files = file_names([estimate.joint for estimate in estimates])
     drawn = [files[estimate.joint] for estimate in estimates if estimate.fit is not None]
     if drawn:

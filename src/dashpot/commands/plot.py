@@ -9,12 +9,13 @@ from rich.console import Console
 from rich.markup import escape
 
 from dashpot.commands.plot_draw import draw_joint, draw_overview, error_of, lettered
-from dashpot.commands.shared import bare_table, check_place, file_names, new_table
+from dashpot.commands.shared import bare_table, check_place, file_names, new_table, progress
 from dashpot.logs import Topics
 from dashpot.logs.samples import Samples, read_samples
 from dashpot.support.arrays import Floats
 from dashpot.support.output import whole_folder
 from dashpot.support.plots import save
+from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
     from dashpot.cli.identify import Plot
@@ -23,16 +24,20 @@ if TYPE_CHECKING:
 def plot(options: Plot) -> int:
     """``dashpot plot``; returns the exit status."""
     check_place(options.out, [options.log])
-    samples = read_samples(options.log, Topics(options.states, options.commands, options.links))
+    with waiting("reading the log"):
+        samples = read_samples(options.log, Topics(options.states, options.commands, options.links))
     if options.joint:
         samples = samples.only(options.joint)
     if options.window is not None:
         samples = samples.between(*options.window)
     names = file_names(("overview", *samples.joints))
-    with whole_folder(options.out) as folder:
+    pictures = 1 + len(samples.joints)
+    with progress("drawing", pictures) as advance, whole_folder(options.out) as folder:
         save(draw_overview(samples), folder / "overview", pdf=options.pdf)
+        advance()
         for joint in samples.joints:
             save(draw_joint(samples, joint), folder / names[joint], pdf=options.pdf)
+            advance()
     _show(samples, options)
     return 0
 

@@ -23,6 +23,7 @@ from dashpot.commands.campaign_view import amount, axis_words, case_words, show_
 from dashpot.commands.report_plots import Picture, pictures
 from dashpot.errors import InputError
 from dashpot.support.report import facts, image, page, table
+from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
     from dashpot.cli.simulate import Report
@@ -38,9 +39,10 @@ def report(options: Report) -> int:
         raise InputError("must be a file outside the dataset", quantity="--out", value=str(out))
     about, spec = attributes(options.dataset), spec_of(options.dataset)
     with open_dataset(options.dataset) as dataset, tempfile.TemporaryDirectory() as folder:
-        verdicts = judge(spec, dataset)
-        good = passed(spec, dataset)
-        drawn = pictures(spec, dataset, good, Path(folder))
+        with waiting("drawing"):
+            verdicts = judge(spec, dataset)
+            good = passed(spec, dataset)
+            drawn = pictures(spec, dataset, good, Path(folder))
         status = dataset["status"].values.ravel()
         html = _page(spec, about, dataset, verdicts, good, drawn, options.dataset)
         out.parent.mkdir(parents=True, exist_ok=True)

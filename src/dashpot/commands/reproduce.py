@@ -5,17 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from dashpot.commands.shared import bare_table, verdict
 from dashpot.errors import InputError
 
 if TYPE_CHECKING:
     from dashpot.paper.relations import Relation
 
 from dashpot.simulation.engine import quiet_engine
+from dashpot.support.waiting import waiting
 
 FIGURES = {
     "fig4": "Fig. 4: tracking",
@@ -26,7 +27,8 @@ FIGURES = {
 
 def reproduce(out: Path, seeds: int, threads: int | None) -> int:
     """``dashpot reproduce``; returns the exit status: 1 if a relation fails."""
-    from dashpot.paper.reproduction import reproduce as run_study
+    with waiting("starting"):
+        from dashpot.paper.reproduction import reproduce as run_study
 
     if threads is not None and threads < 1:
         raise InputError("must be at least 1", quantity="--threads", value=threads)
@@ -34,22 +36,29 @@ def reproduce(out: Path, seeds: int, threads: int | None) -> int:
     relations, results = run_study(out, seeds, threads)
     console = Console()
     console.print(_relations_table(relations, seeds))
+    console.print(_caption(relations), highlight=False, style="dim")
+    console.print()
     failed = sum(not relation.holds for relation in relations)
-    verdict = "[green]every relation holds[/]" if not failed else f"[bold red]{failed} relations fail[/]"
+    said = verdict(not failed, f"{failed} relations fail" if failed else "every relation holds")
     console.print(
-        f"{verdict} ({results['seconds']:.0f} s); open {escape(str(out / 'report.html'))}", highlight=False
+        f"{said} ({results['seconds']:.0f} s); open {escape(str(out / 'report.html'))}", highlight=False
     )
     return 1 if failed else 0
 
 
+def _caption(relations: list[Relation]) -> str:
+    """How the values of each figure were put together."""
+    together: dict[str, list[str]] = {}
+    for figure, title in FIGURES.items():
+        for judged in dict.fromkeys(one.judged for one in relations if one.figure == figure):
+            together.setdefault(judged, []).append(title.partition(":")[0])
+    parts = (f"the {judged} in {' and '.join(figures)}" for judged, figures in together.items())
+    return f"value: of the joint or payload nearest to its limit; {', '.join(parts)}"
+
+
 def _relations_table(relations: list[Relation], seeds: int) -> Table:
     """One row per relation: the value of the joint or payload nearest to failing, the range of them all."""
-    table = Table(
-        title=f"The paper's relations, {seeds} seeds each",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
+    table = bare_table(f"The paper's relations, {seeds} seeds each")
     table.add_column("relation", no_wrap=True)
     for name in ("limit", "value", "over seeds"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -63,7 +72,7 @@ def _relations_table(relations: list[Relation], seeds: int) -> Table:
             figure = this
         least = group[0].sense == "at least"
         worst = (min if least else max)(relation.value for relation in group)
-        mark = "[green]✓[/]" if all(relation.holds for relation in group) else "[bold red]✗[/]"
+        mark = "[green]✓[/]" if all(relation.holds for relation in group) else "[red]✗[/]"
         table.add_row(
             f"{mark} {escape(text)}",
             f"{'>=' if least else '<='} {group[0].limit:g}",

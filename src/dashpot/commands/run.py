@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ from dashpot.hardware.runtime import LoopSettings, Outcome, Start, control, join
 from dashpot.hardware.scribe import Notes, scribe
 from dashpot.simulation.engine import quiet_engine
 from dashpot.support.arrays import Floats
+from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
     from dashpot.arm.plant import Plant
@@ -34,7 +36,8 @@ def run(options: Run) -> int:
     """``dashpot run``; returns the exit status."""
     check_options(options)
     quiet_engine()
-    job = prepare(options)
+    with waiting("preparing"):
+        job = prepare(options)
     verdicts = None if options.uncertified else _verdicts(options, job)
     settings = job.supervisor.settings
     checks = before_link(
@@ -49,7 +52,8 @@ def run(options: Run) -> int:
         _refuse_gravity_twice(hardware, job)
         # Without a clock a sample more is another run: what the sensors say is looked at with --check only.
         if options.check or not options.lock_step:
-            with undisturbed(0 if options.lock_step else options.priority, options.cpu):
+            quiet = undisturbed(0 if options.lock_step else options.priority, options.cpu)
+            with waiting("listening to the arm at rest", still=True), quiet:
                 heard = listen(hardware, job.controller, options.samples)
             load = None
             if job.plant is not None:
@@ -126,10 +130,15 @@ def _run(options: Run, job: Job, hardware: Hardware, start: Start | None) -> Out
     motion = job.motion
     means: dict[str, Any] = {"duration": duration, "start": start, "settings": settings}
     if ring is None:
-        return control(hardware, job.supervisor, motion, **means)
+        with waiting("running in lock step" if options.lock_step else "running", still=not options.lock_step):
+            return control(hardware, job.supervisor, motion, **means)
     outcome: Outcome | None = None
     try:
-        with scribe(ring, notes):
+        with ExitStack() as stack:
+            with waiting("starting the log"):
+                stack.enter_context(scribe(ring, notes))
+            if options.lock_step:
+                stack.enter_context(waiting("running in lock step"))
             outcome = control(hardware, job.supervisor, motion, **means, ring=ring.memory)
     except DashpotError as error:  # of the log; how the run ended is worth more
         if outcome is None:

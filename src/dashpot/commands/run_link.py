@@ -22,6 +22,7 @@ from dashpot.hardware.runtime import Start, said
 from dashpot.simulation.release import tracking_events
 from dashpot.simulation.simulate import Scenario
 from dashpot.simulation.trajectory import Trajectory
+from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
     from dashpot.cli.deploy import Run
@@ -32,10 +33,11 @@ SPARE = 1.0  # [s] that a simulated arm can go on for, besides a stop
 @contextmanager
 def connected(options: Run, job: Job) -> Iterator[tuple[Hardware, Start | None]]:
     """The robot, and where the controller starts if that is known without asking it."""
-    if options.via == "sim":
-        hardware, start = _simulated(options, job)
-    else:
-        hardware, start = _robot(options, job), None
+    with waiting("starting the simulated arm" if options.via == "sim" else "connecting"):
+        if options.via == "sim":
+            hardware, start = _simulated(options, job)
+        else:
+            hardware, start = _robot(options, job), None
     try:
         yield hardware, start
     finally:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 
-from dashpot.commands.shared import bare_table
+from dashpot.commands.shared import bare_table, verdict
 from dashpot.control.controller import Controller
 from dashpot.hardware.checks import Check
 from dashpot.hardware.realtime import Measure
@@ -20,13 +20,13 @@ from dashpot.hardware.runtime import Outcome
 if TYPE_CHECKING:
     from dashpot.cli.deploy import Run
 
-VERDICTS = {True: "[green]pass[/]", False: "[bold red]fail[/]", None: "[yellow]not checked[/]"}
+VERDICTS = {True: "[green]pass[/]", False: "[red]fail[/]", None: "[yellow]not checked[/]"}
 ENDS = {
-    "done": "[bold green]done[/]",
+    "done": verdict(True, "done"),
     "stopped": "[bold]stopped[/]",
     "supervisor": "[bold yellow]stopped by the supervisor[/]",
-    "robot": "[bold red]ended by the robot[/]",
-    "failed": "[bold red]failed[/]",
+    "robot": verdict(False, "ended by the robot"),
+    "failed": verdict(False, "failed"),
 }
 BEST = (0.5, 0.99, 0.999)  # quantiles of the jitter
 
@@ -48,11 +48,13 @@ def show_checks(checks: Sequence[Check], options: Run) -> None:
         table.add_row(*(escape(text) for text in row), VERDICTS[check.passed])
     console.print(table)
     console.print("the joint named is the one nearest to its bound", highlight=False, style="dim")
-    console.print()
     failed = [check.name for check in checks if check.passed is False]
+    if failed or options.check:
+        console.print()
     if failed:
         console.print(
-            f"[bold red]no torque is sent[/]: {len(failed)} of {len(checks)} checks fail", highlight=False
+            f"{verdict(False, 'no torque is sent')}: {len(failed)} of {len(checks)} checks fail",
+            highlight=False,
         )
         if any(name.startswith("certificate") for name in failed):
             console.print(
@@ -63,7 +65,7 @@ def show_checks(checks: Sequence[Check], options: Run) -> None:
                 style="dim",
             )
     elif options.check:
-        console.print("[bold green]ready[/]: no torque was sent", highlight=False)
+        console.print(f"{verdict(True, 'ready')}: no torque was sent", highlight=False)
 
 
 def show_measures(console: Console, measures: Sequence[Measure]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -50,6 +51,33 @@ def progress(label: str, steps: int) -> Iterator[Callable[[], None]]:
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
         task = bar.add_task(label, total=steps)
         yield lambda: bar.advance(task)
+
+
+@contextmanager
+def clock(label: str, seconds: float) -> Iterator[Callable[[float], None]]:
+    """A bar over simulated time [s] as `progress`; what it gives is told how far it has come."""
+    so_far = TextColumn("{task.completed:.1f} of {task.total:.4g} s")
+    columns = (TextColumn("{task.description}"), BarColumn(), so_far, TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+        task = bar.add_task(label, total=seconds)
+        yield lambda time: bar.update(task, completed=time)
+
+
+def verdict(good: bool, words: str) -> str:
+    """A command's last word, in bold; what it is about follows it plain. Verdicts within tables are not."""
+    return f"[bold {'green' if good else 'red'}]{words}[/]"
+
+
+def print_command(console: Console, command: str) -> None:
+    """Prints a command to be copied, dim: on a terminal it goes on below between its words, as a shell reads
+    it, and elsewhere it is one line.
+    """
+    lines = [command]
+    if console.is_terminal:
+        lines = textwrap.wrap(command, console.width - 6, break_long_words=False, break_on_hyphens=False)
+    text = " \\\n      ".join(lines)
+    console.print(f"    {escape(text)}", highlight=False, soft_wrap=True, style="dim")
 
 
 def bare_table(title: str) -> Table:

@@ -26,12 +26,13 @@ from dashpot.simulation.trace import run_traced
 from dashpot.simulation.trajectory import Trajectory, hold, multisine
 from dashpot.support.output import whole_folder
 from dashpot.support.plots import save
+from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
     from dashpot.cli.simulate import Simulate
 
 from dashpot.commands.aside import run_aside
-from dashpot.commands.shared import payload_offset
+from dashpot.commands.shared import clock, payload_offset
 from dashpot.commands.simulate_faults import marks, read_changes, read_faults
 from dashpot.commands.simulate_view import draw, show
 from dashpot.simulation.engine import quiet_engine
@@ -90,7 +91,10 @@ def simulate(options: Simulate) -> int:
             gravity_compensation=carried,
         )
         traced = options.log is not None and options.log.suffix.lower() == ".mcap"
-        recording, trace = run_aside(lambda: run_traced(scenario) if traced else (run(scenario), None))
+        with clock("simulating", path.time[-1] - path.time[0]) as advance:
+            recording, trace = run_aside(
+                lambda: run_traced(scenario, advance) if traced else (run(scenario, advance), None)
+            )
         recording.settings |= {
             "controller": str(options.controller),
             "payload_kg": options.payload,
@@ -101,7 +105,8 @@ def simulate(options: Simulate) -> int:
             recording.settings["release"] = options.release
         recording.save(folder / "recording.npz")
         marked = marks(robot, faults, changes, recording)
-        save(draw(recording, controller, options, marked), folder / "simulate")
+        with waiting("drawing"):
+            save(draw(recording, controller, options, marked), folder / "simulate")
     if options.log is not None:
         log = from_recording(
             recording,
@@ -111,10 +116,11 @@ def simulate(options: Simulate) -> int:
             controlled=controller.joints,
         )
         # Last: it may be in the folder that has just been replaced.
-        if trace is None:
-            write_log(log, options.log)
-        else:
-            write_run(options.log, log, recording, trace, robot, config, path)
+        with waiting("writing the log"):
+            if trace is None:
+                write_log(log, options.log)
+            else:
+                write_run(options.log, log, recording, trace, robot, config, path)
     show(recording, robot, controller, plant, options, marked)
     return 1 if recording.diverged_at is not None else 0
 

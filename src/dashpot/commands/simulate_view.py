@@ -14,7 +14,7 @@ from rich.table import Table
 
 from dashpot.arm.plant import Plant
 from dashpot.arm.robot import Robot
-from dashpot.commands.shared import bare_table
+from dashpot.commands.shared import bare_table, verdict
 from dashpot.commands.simulate_faults import Mark, draw_marks, legend_entries, listed
 from dashpot.control.controller import TORQUE_LIMITED, Controller
 from dashpot.simulation.recording import Recording
@@ -56,8 +56,12 @@ def show(
     for name in ("error [deg]", "dev.", "torque [N m]", "of limit", "vibration [N m]"):
         table.add_column(escape(name), justify="right", no_wrap=True)
     before = np.isfinite(recording.link_position).all(1)
-    if options.release is not None:
-        before &= recording.time < options.release - 1e-9
+    until, when = options.release, f"the release at {options.release or 0:g} s"
+    stop = stopped_at(recording)
+    if stop is not None and (until is None or stop < until):
+        until, when = stop, f"the supervisor stops the arm at {stop:.4g} s"
+    if until is not None:  # then nobody follows the reference any more
+        before &= recording.time < until - 1e-9
     shown = before & (recording.time >= 0)
     # What a faulty sensor says is no measure of what the arm did.
     angle = recording.link_position if options.fault else recording.position
@@ -98,7 +102,7 @@ def show(
             shaken,
         )
     console.print(table)
-    when = "" if options.release is None else f", all before the release at {options.release:g} s"
+    when = "" if until is None else f", all before {when}"
     of, which = ("mean error of the link", "true") if options.fault else ("mean error", "sensed")
     console.print(
         f"{of}, its standard deviation, largest torque, RMS of {which} torque above {CORNER:g} Hz in "
@@ -121,7 +125,8 @@ def show(
         console.print(f"[yellow]{line}[/]", highlight=False)
     if recording.diverged_at is not None:
         console.print(
-            f"[bold red]diverged[/] at {recording.diverged_at:.3f} s: the loop is unstable with this payload",
+            f"{verdict(False, 'diverged')} at {recording.diverged_at:.3f} s: "
+            "the loop is unstable with this payload",
             highlight=False,
         )
     elif (recording.status & TORQUE_LIMITED).any():
@@ -136,6 +141,15 @@ def show(
             highlight=False,
             soft_wrap=True,
         )
+
+
+def stopped_at(recording: Recording) -> float | None:
+    """When the supervisor first left the reference, to brake or to close the brakes [s]; None: never."""
+    told: Any = recording.settings.get("supervisor", {})
+    times = [
+        float(decision["time"]) for decision in told.get("decisions", ()) if decision["before"] == "track"
+    ]
+    return min(times, default=None)
 
 
 def _bypassed(joint: str, options: Simulate) -> bool:

@@ -19,6 +19,7 @@ import dashpot
 from dashpot.arm.payload import Payload
 from dashpot.errors import DashpotError, InputError
 from dashpot.simulation.engine import quiet_engine
+from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
     from dashpot.cli.simulate import Studio
@@ -33,8 +34,9 @@ def studio(options: Studio) -> int:
         import viser  # noqa: F401
     except ImportError:
         raise DashpotError(f"the studio needs viser: {_install()}") from None
-    from dashpot.studio.choices import controller_of
-    from dashpot.studio.page import open_page
+    with waiting("starting"):
+        from dashpot.studio.choices import controller_of
+        from dashpot.studio.page import open_page
 
     controller = options.controller or controller_of(options.robot)
     quiet_engine()
@@ -42,15 +44,16 @@ def studio(options: Studio) -> int:
     payload = Payload(options.payload, x[0] if len(x) == 1 else (x[0], x[1], x[2]))
     page, console = None, Console()
     try:
-        page = open_page(
-            options.robot,
-            controller,
-            payload,
-            host=options.host,
-            port=options.port,
-            supervise=options.supervise,
-            seed=options.seed,
-        )
+        with waiting("opening the page"):
+            page = open_page(
+                options.robot,
+                controller,
+                payload,
+                host=options.host,
+                port=options.port,
+                supervise=options.supervise,
+                seed=options.seed,
+            )
         _forget_the_start()
         console.print(f"studio of {options.robot} under {controller}: open {page.url}", highlight=False)
         if options.host not in ("127.0.0.1", "localhost", "::1"):

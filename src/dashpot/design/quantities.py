@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from dashpot.design.design import JointDesign
 from dashpot.design.search import SAME
 from dashpot.design.wishes import AT_LEAST, UNITS
+from dashpot.support.numbers import significant
 
 GAINS = {"R": "-", "D": "N m s/rad", "K": "N m/rad", "kp": "N m/rad", "kd": "N m s/rad"}
 """Units of the gains."""
@@ -132,18 +133,6 @@ def predicted_text(joint: JointDesign, name: str) -> str:
     if name == "stop_time" and joint.stop_late > SAME * value:
         return f"{quantity.shown(value)} or {quantity.shown(joint.stop_late)}"
     return quantity.shown(value)
-
-
-def significant(value: float, digits: int = 3) -> str:
-    """A number for people: three digits, no exponent between 1e-4 and 1e6; "-": none."""
-    if not math.isfinite(value):
-        return "-"
-    if abs(value) < 1e-9:  # rounding
-        return "0"
-    if not 1e-4 <= abs(value) < 1e6:
-        return f"{value:.{digits - 1}e}"
-    places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-    return f"{value:.{min(places, 6)}f}"
 
 
 def limit_text(name: str, value: float) -> str:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from dashpot.design.conflicts import Shortfall
 from dashpot.design.design import Design, JointDesign
-from dashpot.design.quantities import QUANTITIES, in_si, limit_text, significant
+from dashpot.design.quantities import QUANTITIES, in_si, limit_text
+from dashpot.support.numbers import significant
 
 if TYPE_CHECKING:
     from dashpot.design.candidates import Duty

@@ -142,7 +142,7 @@ def _certificate(
         seen, wanted = verdicts.digest[:12], about[:12]
         return [Check("certificate", "", f"of {seen}", f"of {wanted}: what runs", False)]
     checks = []
-    for name, passed in (("certificate", verdicts.tracking), ("certificate, no encoder", verdicts.brake)):
+    for name, passed in (("certificate", verdicts.tracking), ("certificate as brake", verdicts.brake)):
         bad = [joint for joint, good in zip(verdicts.joints, passed, strict=True) if not good]
         margins = [(m, j) for m, j in zip(verdicts.margin, verdicts.joints, strict=True) if m is not None]
         least, joint = min(margins, default=(0.0, ""))

@@ -181,7 +181,7 @@ def line(
 
     name = STATES[state]
     text = Text.assemble(
-        (f"{time:6.1f} s  ", "bold"),
+        (f"{time:5.1f} s ", "bold"),
         (f"{name.replace('_', ' '):<13}", "green" if name == "track" else "bold yellow"),
         no_wrap=True,
         overflow="ellipsis",
@@ -191,7 +191,8 @@ def line(
         text.append(f"  error {np.degrees(error[j]):.2f} deg {notes.joints[j]}")
     j = int(np.argmax(share))
     text.append(f"  torque {100 * share[j]:.0f} % {notes.joints[j]}")
-    text.append(f"  late {statistics['late']}", "" if statistics["late"] == 0 else "yellow")
+    if statistics["late"]:  # it has room in 80 columns, with the jitter, where something else is shorter
+        text.append(f"  late {statistics['late']}", "yellow")
     text.append(f"  jitter {1e6 * statistics['jitter_most']:.0f} us", "dim")
     return text
 

@@ -134,7 +134,7 @@ def draw(result: Fig4) -> Figure:
     axes[1, 0].set_ylabel("standard deviation [deg]")
     axes[0, 0].legend(loc="upper left")
     figure.suptitle(
-        f"Fig. 4  Tracking error of the wrist over {len(result.seeds)} trajectories "
-        "(small: each trajectory, large: their mean)"
+        f"Fig. 4  Tracking error of the wrist over {len(result.seeds)} trajectories\n"
+        "small: each trajectory, large: their mean; x and o are moved apart for sight"
     )
     return figure

@@ -260,7 +260,8 @@ def draw(result: Fig5) -> Figure:
     torque.grid(False)
     torque.spines["right"].set_visible(True)
     torque.tick_params(colors=GREY)
-    right.plot([], [], color=GREY, lw=0.9, label="external torque")
+    for (_, dash), lb in zip(styles, PAYLOADS, strict=True):
+        right.plot([], [], dash, color=GREY, lw=0.9, label=f"torque, {lb} lb")
     right.legend(loc="upper right", bbox_to_anchor=(1.02, 1.02), fontsize=8.5)
     figure.suptitle("Fig. 5  Energy dissipation: joint 7 brakes from its torque sensor alone (first seed)")
     return figure

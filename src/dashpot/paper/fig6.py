@@ -26,6 +26,7 @@ from dashpot.simulation.simulate import Event, Scenario, run_many
 from dashpot.simulation.trajectory import Trajectory, multisine
 from dashpot.support.arrays import Floats
 from dashpot.support.plots import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION, Figure, new_figure
+from dashpot.support.waiting import waiting
 
 DURATION = 5.0  # [s]
 SWING = 0.2  # amplitude of the other joints [rad]
@@ -109,7 +110,8 @@ def vibration(recording: Recording, joints: list[int], corner: float, window: tu
 def run(seeds: int = 10, threads: int | None = None) -> Fig6:
     """Searches the high gains, checks the resonant ones when linearised, simulates every case and seed."""
     s = setup()
-    high = search_high_gain()
+    with waiting("Fig. 6: looking for gains"):
+        high = search_high_gain()
     controllers = {True: s.controller(high.high, "explicit"), False: s.controller(high.low, "explicit")}
     resonant = load_controller("k807-resonant")
     controller = s.controller(resonant.gains)
@@ -136,12 +138,14 @@ def run(seeds: int = 10, threads: int | None = None) -> Fig6:
         case: np.array([[vibration(r, wrist, SLOW, w) for w in (EARLY, LATE, AFTER)] for r in slow[case]])
         for case in CASES
     }
+    with waiting("Fig. 6: the linearised arm"):
+        described, window = describe_resonance(s, resonant.gains), _window(s, controller)
     return Fig6(
         high,
         high_rms,
-        describe_resonance(s, resonant.gains),
+        described,
         rms,
-        _window(s, controller),
+        window,
         slow["5 lb"][0].time,
         {case: runs[0].sample[:, j] for case, runs in fast.items()},
         {case: slow[case][0].sample[:, [wrist[0], wrist[2]]] for case in list(CASES)[:6]},

@@ -18,6 +18,7 @@ from dashpot.paper.setup import ASSUMED, PAYLOADS, PERIOD, RELEASE, WRIST, setup
 from dashpot.support import report
 from dashpot.support.output import whole_folder
 from dashpot.support.plots import save
+from dashpot.support.waiting import waiting
 
 FEWEST = 2  # seeds; one has no spread
 
@@ -52,13 +53,14 @@ def reproduce(
         tracking = fig4.run(seeds, threads)
         braking = fig5.run(seeds, threads)
         unstable = fig6.run(seeds, threads)
-        for name, figure in (
-            ("fig4", fig4.draw(tracking)),
-            ("fig5", fig5.draw(braking)),
-            ("fig6", fig6.draw(unstable)),
-            ("fig6-window", fig6.draw_window(unstable)),
-        ):
-            save(figure, folder / name)
+        with waiting("drawing"):
+            for name, figure in (
+                ("fig4", fig4.draw(tracking)),
+                ("fig5", fig5.draw(braking)),
+                ("fig6", fig6.draw(unstable)),
+                ("fig6-window", fig6.draw_window(unstable)),
+            ):
+                save(figure, folder / name)
         relations = [*fig4.relations(tracking), *fig5.relations(braking), *fig6.relations(unstable)]
         results = {
             "schema": 1,

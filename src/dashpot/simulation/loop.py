@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 Tables = tuple[Floats, Floats | None, Floats, NDArray[np.int32]]
 """Reference, (4, ticks, n); external torque, (ticks, n); record, (channels, ticks, n); status, (ticks,)."""
 
+PIECE = 100  # ticks from one word about how far it has come to the next
+
 
 def carry(model: Any, before: Any) -> Any:
     """MjData of another model of the same degrees of freedom, in the state of the one before."""

@@ -14,7 +14,7 @@ from dashpot.arm.robot import Robot
 from dashpot.control.controller import Controller, ControllerConfig
 from dashpot.control.supervisor import SupervisorSettings
 from dashpot.simulation.faults import Fault
-from dashpot.simulation.loop import Loop
+from dashpot.simulation.loop import PIECE, Loop
 from dashpot.simulation.recording import Recording
 from dashpot.simulation.trajectory import Trajectory
 from dashpot.support.arrays import Floats
@@ -102,14 +102,21 @@ class Scenario:
         return self.gravity_compensation and self.plant.robot.gravity_compensation
 
 
-def run(scenario: Scenario) -> Recording:
+def run(scenario: Scenario, advance: Callable[[float], None] | None = None) -> Recording:
     """Runs one scenario; the same scenario gives the same bits on any number of threads.
+
+    Args:
+        scenario: What to run.
+        advance: Told now and then how far it has come [s]; None: nobody asks. The bits are the same.
 
     Raises:
         InputError: Periods, shapes or joints of plant, controller and trajectory do not fit together, or an
             event, a fault or a change of payload does not fit them.
     """
     loop = Loop(scenario)
+    while advance is not None and loop.tick < loop.ticks and loop.diverged is None:
+        loop.advance(loop.tick + PIECE)
+        advance(loop.tick * scenario.trajectory.period)
     loop.advance()
     return loop.recording()
 

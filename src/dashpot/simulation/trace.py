@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from dashpot.control.sampled import NX
-from dashpot.simulation.loop import Loop
+from dashpot.simulation.loop import PIECE, Loop
 from dashpot.simulation.recording import Recording
 from dashpot.simulation.simulate import Scenario
 from dashpot.support.arrays import Floats
@@ -30,9 +31,15 @@ class Trace:
     x: Floats
 
 
-def run_traced(scenario: Scenario) -> tuple[Recording, Trace]:
+def run_traced(
+    scenario: Scenario, advance: Callable[[float], None] = lambda time: None
+) -> tuple[Recording, Trace]:
     """`dashpot.simulation.simulate.run`, stopped after each tick to look at the controller: the same bits,
     no faster.
+
+    Args:
+        scenario: What to run.
+        advance: Told now and then how far it has come [s].
 
     Raises:
         InputError: As `dashpot.simulation.simulate.run`.
@@ -45,6 +52,8 @@ def run_traced(scenario: Scenario) -> tuple[Recording, Trace]:
     trace = Trace(np.zeros(ticks), np.zeros(shape), np.zeros(shape), np.zeros((*shape, NX)))
     for tick in range(ticks):
         loop.advance(tick + 1)
+        if tick % PIECE == 0:
+            advance(tick * scenario.trajectory.period)
         if loop.guard is not None:
             trace.supervisor[tick] = loop.guard.state
         for i, j in places:

@@ -25,10 +25,11 @@ from dashpot.design import candidates as quantity
 from dashpot.design.candidates import Duty, Gains
 from dashpot.design.design import design_arm, duties
 from dashpot.design.quantities import GAINS as NUMBERS
-from dashpot.design.quantities import binding_text, predicted_text, significant
+from dashpot.design.quantities import binding_text, predicted_text
 from dashpot.design.spec import Spec
 from dashpot.design.words import conflict_lines
 from dashpot.errors import InputWarning
+from dashpot.support.numbers import significant
 
 JOINT = "joint2"
 PAYLOAD, OFFSET = 1.0, (0.0, 0.0, 0.1)  # [kg], [m]

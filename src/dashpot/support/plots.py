@@ -19,6 +19,8 @@ BLACK, GREEN = "#000000", "#009E73"
 BLUE, VERMILLION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "#7A7A7A"
 ORANGE, SKY = "#E69F00", "#56B4E9"
 
+ROOM = 0.94  # of a figure's width, for a legend over all of it
+
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.5,
@@ -75,7 +77,7 @@ def top_legend(figure: Figure, lines: Mapping[str, Any], title: str | None = Non
         legend.get_title().set_parse_math(False)
         with _any_names():
             width = legend.get_window_extent(figure.canvas.get_renderer()).width  # type: ignore[attr-defined]
-        if width <= figure.get_figwidth() * figure.dpi or columns == 1:
+        if width <= ROOM * figure.get_figwidth() * figure.dpi or columns == 1:
             return
         legend.remove()
 

@@ -11,6 +11,7 @@ import tyro
 from dashpot.cli.arguments import (
     ControllerFile,
     Faults,
+    Flag,
     Folder,
     Mass,
     Number,
@@ -64,9 +65,9 @@ class Simulate:
     supervise: Flag = False
     """Run the supervisor around the controller, as on a robot: it checks every signal, brakes without
     encoders or without torque sensors, and closes the mechanical brakes last (docs/supervisor.md)."""
-    gravity_compensation: bool = True
-    """Whether the robot carries its own weight, where its file says that it does (docs/model.md), and the
-    controller only what is left."""
+    gravity_compensation: Flag = True
+    """The robot does not carry its own weight, though its file says that it does (docs/model.md): the
+    controller has to."""
     seed: Number = 0
     """Seed of motion, sensor noise and dropped samples."""
     out: Folder = Path("out/simulate")

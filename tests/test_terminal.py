@@ -95,9 +95,7 @@ def test_headings_are_bold_on_a_terminal_and_the_page_is_the_same(tmp_path):
         assert f"\x1b[1m{heading}\x1b[0m\r\n" in shown
     words = [sys.executable, "-c", command("--help")]
     environment = {**os.environ, "COLUMNS": "80"}
-    done = subprocess.run(
-        [sys.executable, "-c", command("--help")], capture_output=True, text=True, env=environment
-    )
+    done = subprocess.run(words, capture_output=True, text=True, env=environment)
     assert COLOURS.sub("", shown).replace("\r\n", "\n") == done.stdout
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from dashpot import Controller, Robot, Scenario, build, load_controller, multisine, run
+from dashpot.cli.overview import STAGES
 from dashpot.simulation.trace import run_traced
 
 COLOURS = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
@@ -86,3 +87,22 @@ def test_words_about_progress_change_no_bit():
     np.testing.assert_array_equal(plain.sample, again.sample)
     np.testing.assert_array_equal(plain.sample, traced.sample)
     assert max(told) == pytest.approx(len(plain.time) * config.period)
+
+
+def test_headings_are_bold_on_a_terminal_and_the_page_is_the_same(tmp_path):
+    shown, _ = on_terminal(command("--help"), tmp_path)
+    for heading in (*STAGES, "To begin with"):
+        assert f"\x1b[1m{heading}\x1b[0m\r\n" in shown
+    words = [sys.executable, "-c", command("--help")]
+    environment = {**os.environ, "COLUMNS": "80"}
+    done = subprocess.run(words, capture_output=True, text=True, env=environment)
+    assert COLOURS.sub("", shown).replace("\r\n", "\n") == done.stdout
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [("doctor", "dashpot works here"), ("export k807 k807-wrist --to c", "not certified")],
+)
+def test_a_last_word_has_one_style(tmp_path, typed, said):
+    shown, status = on_terminal(command(*typed.split()), tmp_path)
+    assert f"\x1b[1;{31 if status else 32}m{said}\x1b[0m" in shown

@@ -103,9 +103,9 @@ def simulate(options: Simulate) -> int:
         }
         if options.release is not None:
             recording.settings["release"] = options.release
-        recording.save(folder / "recording.npz")
         marked = marks(robot, faults, changes, recording)
-        with waiting("drawing"):
+        with waiting("writing and drawing"):
+            recording.save(folder / "recording.npz")
             save(draw(recording, controller, options, marked), folder / "simulate")
     if options.log is not None:
         log = from_recording(

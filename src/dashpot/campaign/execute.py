@@ -14,6 +14,7 @@ from typing import Any
 from dashpot.campaign.scenario import Campaign
 from dashpot.campaign.store import Block, Store, run_chunk
 from dashpot.errors import DashpotError, InputError
+from dashpot.support.installing import install
 from dashpot.support.workers import cores, deaf_to_interrupts, pool_of
 
 AHEAD = 2  # chunks per worker that wait for it
@@ -112,7 +113,7 @@ def _dask(campaign: Campaign, todo: list[int], scheduler: str) -> Iterator[Block
     try:
         import distributed
     except ImportError:
-        raise DashpotError("--scheduler needs pip install 'dashpot[campaign]'") from None
+        raise DashpotError(f"--scheduler needs distributed: {install('campaign')}") from None
     cluster: Any = distributed
     try:
         client = cluster.Client(scheduler, timeout=CONNECT, set_as_default=False)

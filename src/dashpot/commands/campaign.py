@@ -23,6 +23,7 @@ from dashpot.commands.shared import check_place
 from dashpot.commands.simulate_view import draw, show
 from dashpot.errors import DashpotError, InputError
 from dashpot.simulation.engine import quiet_engine
+from dashpot.support.installing import install
 from dashpot.support.output import whole_folder
 from dashpot.support.plots import save
 from dashpot.support.workers import remembered_interrupts
@@ -42,7 +43,7 @@ def needs_campaign_extra() -> None:
         import xarray  # noqa: F401
         import zarr  # noqa: F401
     except ImportError as error:
-        raise DashpotError(f"{error.name} is not installed: pip install 'dashpot[campaign]'") from None
+        raise DashpotError(f"{error.name} is not installed: {install('campaign')}") from None
 
 
 def campaign(options: Options) -> int:

@@ -22,6 +22,7 @@ from dashpot.hardware.runtime import Start, said
 from dashpot.simulation.release import tracking_events
 from dashpot.simulation.simulate import Scenario
 from dashpot.simulation.trajectory import Trajectory
+from dashpot.support.installing import install
 
 if TYPE_CHECKING:
     from dashpot.cli.deploy import Run
@@ -109,8 +110,7 @@ def _robot(options: Run, job: Job) -> Hardware:
         raise
     except ModuleNotFoundError as error:
         raise InputError(
-            f"cannot be imported: {error}"
-            + ("; pip install 'dashpot[franka]'" if options.via == "franka" else ""),
+            f"cannot be imported: {error}" + (f"; {install('franka')}" if options.via == "franka" else ""),
             quantity="--via",
             value=options.via,
         ) from None

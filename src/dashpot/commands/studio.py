@@ -5,20 +5,18 @@ from __future__ import annotations
 import gc
 import math
 import signal
-import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-import dashpot
 from dashpot.arm.payload import Payload
 from dashpot.errors import DashpotError, InputError
 from dashpot.simulation.engine import quiet_engine
+from dashpot.support.installing import install
 
 if TYPE_CHECKING:
     from dashpot.cli.simulate import Studio
@@ -32,7 +30,7 @@ def studio(options: Studio) -> int:
     try:
         import viser  # noqa: F401
     except ImportError:
-        raise DashpotError(f"the studio needs viser: {_install()}") from None
+        raise DashpotError(f"the studio needs viser: {install('studio')}") from None
     from dashpot.studio.choices import controller_of
     from dashpot.studio.page import open_page
 
@@ -82,13 +80,6 @@ def _undisturbed() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _install() -> str:
-    """The command that installs what the studio needs for this interpreter."""
-    root = Path(dashpot.__file__).parents[2]
-    what = f"-e '{root}[studio]'" if (root / "pyproject.toml").is_file() else "'dashpot[studio]'"
-    return f"{sys.executable} -m pip install {what}"
 
 
 def _check(options: Studio) -> None:

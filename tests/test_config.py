@@ -380,7 +380,7 @@ def test_a_controller_may_say_what_its_supervisor_may_assume(tmp_path):
         ("supervisor = true", "law.toml: supervisor = true: must be a table of settings"),
         (
             "[supervisor]\nstop_tme = 1.0",
-            "law.toml: supervisor: stop_tme: unknown key; did you mean 'stop_time'?",
+            "law.toml: supervisor.stop_tme: unknown key; did you mean 'stop_time'?",
         ),
         (
             "[supervisor]\nstop_time = 61.0",

@@ -10,12 +10,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from dashpot.errors import InputError
-
 if TYPE_CHECKING:
     from dashpot.paper.relations import Relation
 
 from dashpot.simulation.engine import quiet_engine
+from dashpot.support.limits import check_workers
 
 FIGURES = {
     "fig4": "Fig. 4: tracking",
@@ -28,8 +27,7 @@ def reproduce(out: Path, seeds: int, threads: int | None) -> int:
     """``dashpot reproduce``; returns the exit status: 1 if a relation fails."""
     from dashpot.paper.reproduction import reproduce as run_study
 
-    if threads is not None and threads < 1:
-        raise InputError("must be at least 1", quantity="--threads", value=threads)
+    check_workers(threads, "--threads")
     quiet_engine()
     relations, results = run_study(out, seeds, threads)
     console = Console()

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from dashpot.arm.payload import Payload
+from dashpot.commands.shared import payload_of
 from dashpot.errors import DashpotError, InputError
 from dashpot.simulation.engine import quiet_engine
 from dashpot.support.installing import install
+from dashpot.support.limits import check_seed
 
 if TYPE_CHECKING:
     from dashpot.cli.simulate import Studio
@@ -27,6 +28,7 @@ EVERY = 10.0  # [s] between two lines of the soak, and two collections
 def studio(options: Studio) -> int:
     """``dashpot studio``; runs until Ctrl-C, or for the time that was asked for."""
     _check(options)
+    payload = payload_of(options.payload, options.offset)
     try:
         import viser  # noqa: F401
     except ImportError:
@@ -36,8 +38,6 @@ def studio(options: Studio) -> int:
 
     controller = options.controller or controller_of(options.robot)
     quiet_engine()
-    x = options.offset
-    payload = Payload(options.payload, x[0] if len(x) == 1 else (x[0], x[1], x[2]))
     page, console = None, Console()
     try:
         page = open_page(
@@ -83,8 +83,7 @@ def _undisturbed() -> Iterator[None]:
 
 
 def _check(options: Studio) -> None:
-    if len(options.offset) not in (1, 3):
-        raise InputError("must be one number or three", quantity="--offset [m]", value=options.offset)
+    check_seed(options.seed)
     if not 0 <= options.port <= 65535:
         raise InputError("must be 0 to 65535", quantity="--port", value=options.port)
     if options.run_for is not None and not (math.isfinite(options.run_for) and options.run_for > 0):

@@ -19,6 +19,7 @@ import pytest
 from dashpot.arm.payload import Payload
 from dashpot.arm.plant import build
 from dashpot.arm.robot import Robot
+from dashpot.campaign.cluster import connected
 from dashpot.campaign.execute import execute
 from dashpot.campaign.judge import judge, passed
 from dashpot.campaign.measures import MEASURES, measure
@@ -215,10 +216,31 @@ def test_a_dask_cluster_that_loses_a_worker_loses_nothing(spec, tmp_path):
                 if len(seen) == 3:
                     os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
 
-            execute(campaign, store, scheduler=cluster.scheduler_address, advance=kill_one)
+            with connected(cluster.scheduler_address) as client:
+                execute(campaign, store, client=client, advance=kill_one)
             store.close()
     assert sorted(seen) == list(range(campaign.spec.chunks))  # each once
     assert same_files(finished(path, tmp_path / "whole.zarr"), out)
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("foo", "must be tcp://HOST:PORT or tls://HOST:PORT"),
+        ("tcp://10.0.0.1", "must be tcp://HOST:PORT"),
+        ("tcp://10.0.0.1:99999", "must be tcp://HOST:PORT"),
+        ("tcp://127.0.0.1:1", "nobody answers: Connection refused"),
+    ],
+)
+def test_a_scheduler_that_is_not_there_leaves_no_dataset(spec, tmp_path, capsys, address, said):
+    out = tmp_path / "out.zarr"
+    with pytest.raises(SystemExit) as left:
+        main(["campaign", str(spec()), "--scheduler", address, "--out", str(out)])
+    err = capsys.readouterr().err
+    assert left.value.code == 2
+    assert err.startswith(f"dashpot: error: --scheduler = {address!r}: {said}")
+    assert len(err.splitlines()) == 1
+    assert not out.exists()
 
 
 def test_another_campaign_is_not_mixed_in(spec, tmp_path, capsys):

@@ -80,7 +80,7 @@ def parse(text, head=HEAD):
         ("[requirements]\nlimited = {max = 1.0, joint = 'joint1'}", "measure per joint"),
         ("[requirements]\nerror_max = {max = 1.0, where = {payload = 1.0}}", "no such axis"),
         ("count = 3", "is for samples only"),
-        ("seed = -1", "not negative"),
+        ("seed = -1", "must be a whole number, 0 to 2147483647"),
         ("chunk = 0", "must be 1 to 10000"),
         ("sample = 'sobol'\ncount = 4", "no axis is a range"),
         ("motion = 'hold'\n[axes]\namplitude = [0.1]", "has no effect on motion"),
@@ -102,13 +102,37 @@ def test_bad_specifications_are_refused_in_one_line(text, said):
     assert len(message) < 400
 
 
+def test_a_name_that_is_no_file_is_said_with_its_key(tmp_path):
+    for key, name in (("robot", "fr33"), ("controller", "nope"), ("controller", "nope.toml")):
+        other = 'controller = "fr3"' if key == "robot" else 'robot = "fr3"'
+        spec = Spec.parse(f'{key} = "{name}"\n{other}', tmp_path / "s.toml")
+        with pytest.raises(InputError, match=rf"s\.toml: {key} = '{name}': (neither a file|no such file)"):
+            Campaign(spec)
+    with pytest.raises(InputError, match=r"s\.toml: axes\.foo: unknown key"):
+        Spec.parse(HEAD + "[axes]\nfoo = [1]", "s.toml")
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("release = 5.0", "outside the trajectory"),
-        ("[axes]\ndrive.joint9.stiffness = [1.1]", "no such joint"),
-        ("[axes]\ngains.joint9.R = [1.1]", "no such joint"),
-        ("[axes]\ngains.R = [0.0, 1.0]", "R [-] = 0.0"),
+        ("release = 5.0", "release [s] = 5: must be within the motion, 0 to 0.199 s"),
+        ("[axes]\ndrive.joint9.stiffness = [1.1]", "axes.drive.joint9: no such joint; fr3 has joint1, "),
+        ("[axes]\ngains.joint9.R = [1.1]", "axes.gains.joint9: no such joint"),
+        ("[axes]\ngains.R = [9999]", "axes.gains.R = 9999: R [-] of joint 'joint1' would be 99990.0: must"),
+        ("[axes]\npayload = [0, 1]\ngains.R = [1, 9999]", "axes.gains.R = 9999: "),
+        ("release = -0.5", "release [s] = -0.5: must be within the motion, 0 to"),
+        (
+            "[axes]\nfault = [{kind = 'encoder_lost', start = 50}]",
+            "axes.fault = 'encoder_lost': encoder_lost s",
+        ),
+        (
+            "[axes]\nfault = [{kind = 'encoder_lots', start = 0.1}]",
+            "axes.fault.kind = 'encoder_lots': no such",
+        ),
+        (
+            "[axes]\ngains.R = [0.0, 1.0]",
+            "axes.gains.R = 0: R [-] of joint 'joint1' would be 0.0: must be at least",
+        ),
         ("[axes]\ndrive.rotor_inertia = [1.0, 0.0]", "rotor_inertia"),
         ("[axes]\npose = ['low']\n[poses]\nlow = [0.0]", "must be 7 angles"),
         ("motion = 'nowhere.csv'", "no such file"),
@@ -117,8 +141,14 @@ def test_bad_specifications_are_refused_in_one_line(text, said):
         ("[axes]\nfault = [{payload_at = [{time = 0.1, mass = -1}]}]", "mass [kg] = -1"),
         ("[axes]\nfault = [{payload_at = [{time = 9, mass = 1}]}]", "outside the trajectory"),
         ("[axes]\nfault = [{payload_at = [{time = 0.1, mass = 1, offset = [0, 0]}]}]", "[x, y, z]"),
-        ("[axes]\nfault = [{kind = 'encoder_lost', joint = 'second', start = 0.1}]", "second"),
-        ("[requirements]\nerror_max = {max = 1.0, joint = 'joint9'}", "no such joint"),
+        (
+            "[axes]\nfault = [{kind = 'encoder_lost', joint = 'second', start = 0.1}]",
+            "axes.fault.joint = 'second'",
+        ),
+        (
+            "[requirements]\nerror_max = {max = 1.0, joint = 'joint9'}",
+            "requirements.error_max.joint = 'joint9': no",
+        ),
     ],
 )
 def test_what_cannot_be_simulated_is_refused_before_anything_runs(text, said):

@@ -99,25 +99,30 @@ def test_simulate_writes_a_whole_folder_and_replays_from_its_seed(dashpot):
     [
         ("--payload", "nan", "--payload [kg] = nan: must be finite"),
         ("--payload", "-1", "--payload [kg] = -1.0: must not be negative"),
-        ("--payload", "1e9", "mass [kg] = 1000000000.0: must be at least 0 and at most 10000 kg"),
+        ("--payload", "1e9", "--payload [kg] = 1e+09: must be at least 0 and at most 10000 kg"),
         ("--offset", "-inf", "--offset [m] = -inf: must be finite"),
-        ("--offset", "50", "payload offset [m] = 50.0: must be a number or (x, y, z) within 10 m"),
+        ("--offset", "50", "--offset [m] = 50.0: must be a number or (x, y, z) within 10 m"),
         ("--offset", "1 2", "--offset [m] = (1.0, 2.0): must be one number or three"),
         ("--offset", "0 nan 0", "--offset [m] = (0.0, nan, 0.0): must be finite"),
         ("--amplitude", "30", "--amplitude [rad] = 30.0: must be at most 12.57 rad; check the unit"),
         ("--duration", "0", "--duration [s] = 0.0: must be positive"),
-        ("--duration", "1e6", "--duration [s] = 1000000.0: must be at most 5000 s, 1000000 ticks of 0.005 s"),
-        ("--seed", "-1", "--seed [-] = -1: must not be negative"),
+        ("--duration", "1e6", "--duration [s] = 1e+06: must be at most 5000 s, 1000000 ticks of 0.005 s"),
+        ("--seed", "-1", "--seed = -1: must be a whole number, 0 to 2147483647"),
+        ("--seed", "1" + 23 * "0", "--seed = 1" + 23 * "0" + ": must be a whole number"),
+        ("--tap", "1e12", "--tap [N m] = 1e+12: must be -100000 to 100000 N m"),
+        ("--log", "/nonexistent/dir/a.csv", "--log = '/nonexistent/dir/a.csv': is in no folder that can be"),
         ("--fault", "brownout", "--fault = 'brownout': must be KIND[:JOINT]@START[-END][=VALUE], times in s"),
-        ("--fault", "brownuot@0", "fault kind = 'brownuot': no such kind of fault; did you mean 'brownout'?"),
-        ("--fault", "torque_nan:joint1@0", "joint 'joint1': torque_nan: is under the robot's own servo"),
-        ("--fault", "brownout@9", "brownout start [s] = 9.0: outside the trajectory, -1 to 0.045 s"),
+        ("--fault", "brownuot@0", "--fault kind = 'brownuot': no such kind of fault; did you mean 'brownout"),
+        ("--fault", "torque_nan:joint1@0", "joint 'joint1': --fault torque_nan: is under the robot's own"),
+        ("--fault", "brownout@9", "--fault brownout start [s] = 9.0: outside the trajectory, -1 to 0.045 s"),
         ("--payload-at", "0=x", "--payload-at = '0=x': must be TIME=KG, in s and kg, e.g. 2=3.5"),
         ("--payload-at", "0=-1", "--payload-at [kg] = -1.0: must be finite and not negative"),
-        ("--payload-at", "9=1", "payload change [s] = 9.0: outside the trajectory"),
-        ("--release", "-2", "--release [s] = -2.0: must be within the motion, -1 to 0.045 s"),
-        ("--release", "0.05", "--release [s] = 0.05: must be within the motion, -1 to 0.045 s"),
-        ("--bypass", "j5", "joint 'j5': not controlled here; controlled: joint5, joint6, joint7"),
+        ("--payload-at", "9=1", "--payload-at [s] = 9.0: outside the trajectory"),
+        ("--payload-at", "nan=4", "--payload-at [s] = nan: outside the trajectory"),
+        ("--fault", "encoder_lost:joint9@0", "--fault joint = 'joint9': no such joint; k807 has joint1, "),
+        ("--release", "-1", "--release [s] = -1.0: must be within the motion, 0 to 0.045 s"),
+        ("--release", "0.05", "--release [s] = 0.05: must be within the motion, 0 to 0.045 s"),
+        ("--bypass", "j5", "--bypass = 'j5': not controlled here; controlled: joint5, joint6, joint7"),
         ("--out", ".", "--out = '.': is or holds the current folder"),
         ("--out", "/dev/null/x", "--out = '/dev/null/x': cannot be created: Not a directory"),
         ("--out", "x" * 300, "--out = 'xxx"),
@@ -304,8 +309,8 @@ def test_no_help_without_a_command(dashpot):
         "dashpot: error: nope: neither a file nor a bundled controller "
         "(k807-wrist, k807-resonant, fr3, iiwa14)"
     ]
-    assert refused(dashpot("reproduce", "--seeds", 1)) == "--seeds = 1: must be at least 2"
-    assert refused(dashpot("reproduce", "--threads", 0)) == "--threads = 0: must be at least 1"
+    assert refused(dashpot("reproduce", "--seeds", 1)) == "--seeds = 1: must be 2 to 1000"
+    assert refused(dashpot("reproduce", "--threads", 0)) == "--threads = 0: must be 1 to 1024"
 
 
 def test_help_is_fast():

@@ -18,7 +18,7 @@ from dashpot.control.controller import Controller, ControllerConfig, JointGains,
 from dashpot.control.law import max_torque_gain_error
 from dashpot.control.sampled import VirtualPassive
 from dashpot.control.supervisorsettings import SupervisorSettings
-from dashpot.errors import DashpotError, InputError, InputWarning
+from dashpot.errors import DashpotError, InputError, InputWarning, written
 
 JOINT = {"name": "j1", "R": 5.0, "D": 4.0, "K": 1.0, "kp": 20.0, "kd": 1.0}
 FILE = {
@@ -100,7 +100,7 @@ BAD = [
     (("latency",), 1.0, "latency = 1.0: must be a whole number of samples, 0 to 16"),
     (("latency",), -1, "latency = -1: must be a whole number of samples, 0 to 16"),
     (("latency",), 99, "latency = 99: must be a whole number of samples, 0 to 16"),
-    (("latency",), True, "latency = True: must be a whole number"),
+    (("latency",), True, "latency = true: must be a whole number"),
     (("latency_max",), -1, "latency_max = -1: must be a whole number of samples, latency (1) to 16"),
     (("latency_max",), 1.5, "latency_max = 1.5: must be a whole number of samples"),
     (("latency_max",), 17, "latency_max = 17: must be a whole number of samples"),
@@ -131,7 +131,7 @@ BAD = [
 @pytest.mark.parametrize(("path", "value", "message"), BAD, ids=map(str, range(len(BAD))))
 def test_bad_value(refused, path, value, message):
     said = refused(ControllerConfig.load, changed(path, value))
-    shown = "" if isinstance(value, int) and value > 10**4000 else repr(value)
+    shown = "" if isinstance(value, int) and value > 10**4000 else written(value)
     assert said.startswith(message.replace("{}", shown))
 
 
@@ -377,10 +377,10 @@ def test_a_controller_may_say_what_its_supervisor_may_assume(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("supervisor = true", "law.toml: supervisor = True: must be a table of settings"),
+        ("supervisor = true", "law.toml: supervisor = true: must be a table of settings"),
         (
             "[supervisor]\nstop_tme = 1.0",
-            "law.toml: supervisor: stop_tme: unknown key; did you mean 'stop_time'?",
+            "law.toml: supervisor.stop_tme: unknown key; did you mean 'stop_time'?",
         ),
         (
             "[supervisor]\nstop_time = 61.0",

@@ -14,6 +14,7 @@ from dashpot.cli import main
 from dashpot.cli.entry import parse
 from dashpot.cli.overview import COMMANDS, STAGES, overview
 from dashpot.commands.doctor import EXTRAS
+from dashpot.support.installing import install
 
 
 def dashpot(*arguments):
@@ -61,7 +62,7 @@ def test_what_is_missing_or_old_is_said_with_its_use(monkeypatch, package, versi
     assert (ended, works) == (status, status == 0)
     assert one["state"] == ("broken" if part == "core" else "missing")
     assert (version or "not installed") in one["found"]
-    assert ("pip install --upgrade dashpot" if part == "core" else f"dashpot[{part}]") in one["advice"]
+    assert install("" if part == "core" else part) in one["advice"]
     assert (("core", "simulation") in found) == works  # not tried on what cannot work
     text = dashpot("doctor")[1]
     assert one["advice"] in text

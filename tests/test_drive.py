@@ -9,7 +9,7 @@ import warnings
 import pytest
 
 from dashpot.arm.drive import UNCERTAIN, Drive, InnerLoop, Servo
-from dashpot.errors import InputError, InputWarning
+from dashpot.errors import InputError, InputWarning, written
 from dashpot.support.tables import Range
 
 GOOD = {"name": "j1", "rotor_inertia": 0.2, "viscous_friction": 0.5, "stiffness": 1e4, "torque_limit": 40.0}
@@ -79,7 +79,7 @@ def test_wrong_unit_warns_or_is_refused_once(key, limits):
         assert [w.category for w in caught] == [InputWarning] * legal
         (message,) = said or [str(w.message) for w in caught]
         assert ("check the unit" in message) == legal
-        assert message.startswith(f"arm.toml: joint 'j1': {key} [{limits.unit}] = {value!r}: ")
+        assert message.startswith(f"arm.toml: joint 'j1': {key} [{limits.unit}] = {written(value)}: ")
         assert limits.unit in message.split(": ", 3)[3]
 
 

@@ -240,3 +240,19 @@ def test_command_writes_a_motion_that_simulates_into_a_log(tmp_path, monkeypatch
     status, out, err = dashpot(*given, "--log", "log.bag")
     assert (status, out) == (2, "")
     assert "--log = 'log.bag': must end in .csv, .parquet, .mcap" in err
+
+
+@pytest.mark.parametrize(
+    ("flag", "value", "said"),
+    [
+        ("--joints", "joint9", "--joints = 'joint9': no such joint; fr3 has joint1, "),
+        ("--torque-share", "2", "--torque-share = 2.0: must be above 0 and at most 1\n"),
+        ("--payload", "-1", "--payload [kg] = -1.0: must be at least 0"),
+        ("--seed", "-1", "--seed = -1: must be a whole number, 0 to 2147483647"),
+    ],
+)
+def test_a_bad_flag_is_named(capsys, flag, value, said):
+    with pytest.raises(SystemExit) as left:
+        main(["excite", "fr3", flag, value])
+    assert left.value.code == 2
+    assert capsys.readouterr().err.startswith(f"dashpot: error: {said}")

@@ -12,6 +12,7 @@ from dashpot._native import bounded, take, take_difference
 from dashpot.arm.payload import Payload
 from dashpot.arm.plant import build
 from dashpot.arm.robot import Robot
+from dashpot.cli import main
 from dashpot.control.controller import Controller, load_controller
 from dashpot.errors import InputError
 from dashpot.hardware.franka import STEP, TORQUE
@@ -263,12 +264,24 @@ def test_the_reported_torque_is_the_transmissions(robot):
     assert rest == pytest.approx(spring, abs=6 * noise + 0.01)  # positions in single precision
 
 
-def test_arm_and_server_refuse_what_they_cannot_be(robot):
+def test_arm_and_server_refuse_what_they_cannot_be(robot, capsys):
     six = replace(robot, drives=robot.drives[:6], home=robot.home[:6])
     with pytest.raises(InputError, match=r"a Franka has 7 joints, this robot 6"):
         Arm(six, Payload(0.0))
     with pytest.raises(InputError, match=r"friction compensation \[-\] = 2: must be 0 to 1"):
         Arm(robot, Payload(0.0), friction=2)
+    with pytest.raises(InputError, match=r"encoder_lost start \[s\] = -9.0: outside"):
+        Arm(robot, Payload(0.0), faults=[Fault("encoder_lost", -9.0)])
+    for flags, said in (
+        (("--fault", "encoder_lost:joint9@1"), "--fault joint = 'joint9': no such joint"),
+        (("--fault", "encoder_lost@-9"), "--fault encoder_lost start [s] = -9.0: outside"),
+        (("--friction", "2"), "--friction = 2.0: must be 0 to 1"),
+        (("--payload", "-1"), "--payload [kg] = -1.0: must be"),
+        (("--seed", "-1"), "--seed = -1: must be a whole number"),
+    ):
+        with pytest.raises(SystemExit):
+            main(["franka-server", *flags])
+        assert capsys.readouterr().err.startswith(f"dashpot: error: {said}")
     arm = Arm(robot, Payload(0.0))
     first = Server(arm, FR3, host="127.0.77.1", port=0)
     with pytest.raises(InputError, match=r"127\.0\.77\.1:\d+'?: is in use: another server runs there"):

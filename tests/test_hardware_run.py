@@ -370,14 +370,21 @@ def test_what_is_not_certified_does_not_run(dashpot):  # noqa: F811
         (("--log", "run.csv"), "--log = 'run.csv': must end in .mcap"),
         (("--samples", "1"), "--samples = 1: must be 10 to 100000"),
         (("--samples", "100000000"), "--samples = 100000000: must be 10 to 100000"),
-        (("--cpu", "-3"), "--cpu = -3: must not be negative"),
-        (("--seed", "-1"), "--seed = -1: must not be negative"),
+        (("--cpu", "-3"), "--cpu = -3: not a processor that this process may use: "),
+        (("--seed", "-1"), "--seed = -1: must be a whole number, 0 to"),
         (("--host", "1.2.3.4"), "--host = '1.2.3.4': is for a robot"),
         (("--record", "arm.csv"), "--record = 'arm.csv': must end in .npz"),
         (("--record", "nowhere/arm.npz"), "--record = 'nowhere/arm.npz': is in no folder"),
         (("--priority", "100"), "--priority = 100: must be 0 (none) to 99"),
         (("--certificate", "none.json"), "--certificate: is not looked at with --uncertified"),
-        (("--fault", "encoder_lost:joint9@1", "--lock-step"), "joint9"),
+        (("--cpu", "99999"), "--cpu = 99999: not a processor that this process may use: "),
+        (("--log", "nowhere/run.mcap"), "--log = 'nowhere/run.mcap': is in no folder that can be written"),
+        (("--payload", "-1"), "--payload [kg] = -1.0: must be at least 0"),
+        (
+            ("--fault", "encoder_lost:joint9@1", "--lock-step"),
+            "--fault joint = 'joint9': no such joint; k807",
+        ),
+        (("--fault", "encoder_lost@99", "--lock-step"), "--fault encoder_lost start [s] = 99.0: outside"),
     ],
 )
 def test_bad_input_is_one_line(dashpot, arguments, said):  # noqa: F811
@@ -385,6 +392,15 @@ def test_bad_input_is_one_line(dashpot, arguments, said):  # noqa: F811
     assert status == 2
     assert len(lines) == 1
     assert said in lines[0]
+
+
+def test_a_log_without_its_package_is_refused_before_there_is_a_link(dashpot, monkeypatch):  # noqa: F811
+    monkeypatch.setitem(sys.modules, "zstandard", None)
+    monkeypatch.setattr("dashpot.commands.run.connected", lambda *_: pytest.fail("connected"))
+    status, _, lines = dashpot("run", "k807", "k807-wrist", "--uncertified", "--log", "run.mcap")
+    assert status == 2
+    assert lines[-1].startswith("dashpot: error: MCAP logs need zstandard: ")
+    assert lines[-1].endswith("[logs]'")
 
 
 def test_something_that_is_no_adapter_is_named(dashpot, tmp_path, monkeypatch):  # noqa: F811

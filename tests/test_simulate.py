@@ -212,7 +212,7 @@ def test_a_latency_delays_the_torque_by_whole_ticks(tmp_path):
         (Event(math.inf, "j", "mode", "off"), "outside the trajectory"),
         (Event(0.0, "k", "mode", "off"), "'k': not controlled here; controlled: j"),
         (Event(0.0, "j", "mode", "on"), "mode = 'on': must be one of off, bypass, active"),
-        (Event(0.0, "j", "mode"), "mode = True: must be one of"),
+        (Event(0.0, "j", "mode"), "mode = true: must be one of"),
         (Event(0.0, "j", "stop"), "must be one of mode, position_loop, warm_start"),
     ],
 )

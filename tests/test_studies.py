@@ -98,7 +98,7 @@ def test_a_failing_run_leaves_nothing(tmp_path, monkeypatch):
 
 
 def test_one_seed_has_no_spread(tmp_path):
-    with pytest.raises(InputError, match="--seeds = 1: must be at least 2"):
+    with pytest.raises(InputError, match="--seeds = 1: must be 2 to 1000"):
         paper.reproduce(tmp_path / "paper", seeds=1)
 
 

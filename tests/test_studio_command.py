@@ -82,3 +82,13 @@ def _free() -> int:
     with socket.socket() as door:
         door.bind(("127.0.0.1", 0))
         return int(door.getsockname()[1])
+
+
+def test_a_bad_flag_is_named() -> None:
+    for flags, said in (
+        (Studio(seed=-1), "--seed = -1: must be a whole number"),
+        (Studio(payload=-1.0), r"--payload \[kg\] = -1.0: must be at least 0"),
+        (Studio(offset=(1.0, 2.0)), r"--offset \[m\]"),
+    ):
+        with pytest.raises(InputError, match=said):
+            studio(flags)

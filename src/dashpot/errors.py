@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import numbers
+from collections.abc import Mapping
+from pathlib import PurePath
+
 
 class DashpotError(Exception):
     """Base class of every error dashpot raises on purpose; the command line prints it as one line."""
@@ -40,10 +44,28 @@ class InputError(DashpotError, ValueError):
 
 def _short(value: object) -> str:
     try:
-        text = repr(value)
+        text = written(value)
     except ValueError:  # an integer of thousands of digits
         text = f"a {type(value).__name__} too long to print"
     return text if len(text) <= 100 else f"{text[:97]}..."
+
+
+def written(value: object) -> str:
+    """A value as a person writes it in a file or behind a flag, not as Python shows it."""
+    match value:
+        case bool():
+            return str(value).lower()
+        case numbers.Real() if not isinstance(value, numbers.Integral):
+            full, short = repr(float(value)), f"{float(value):g}"
+            return short if len(short) < len(full) - 2 and float(short) == value else full
+        case PurePath():
+            return repr(str(value))
+        case list():
+            return f"[{', '.join(map(written, value))}]"
+        case Mapping():
+            inner = ", ".join(f"{key} = {written(one)}" for key, one in value.items())
+            return f"{{ {inner} }}" if inner else "{}"
+    return repr(value)
 
 
 def _one_line(text: str) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dashpot.errors import InputError
+from dashpot.support.limits import MOST_SEED
 from dashpot.support.tables import as_float, check_keys
 
 GAINS = ("R", "D", "K", "kp", "kd")
@@ -39,8 +40,8 @@ LIMITS = {
     "payload": ("kg", 0.0, 1e4),
     "offset": ("m", -10.0, 10.0),
     "amplitude": ("rad", 0.0, 4 * math.pi),
-    "trajectory": ("-", 0.0, 2.0**31),
-    "seed": ("-", 0.0, 2.0**31),
+    "trajectory": ("-", 0.0, MOST_SEED),
+    "seed": ("-", 0.0, MOST_SEED),
 }
 WHOLE = ("trajectory", "seed")
 MOST_VALUES = 100_000
@@ -123,7 +124,7 @@ def parse_axes(table: Mapping[str, Any], file: object) -> tuple[Axis, ...]:
     Raises:
         InputError: Naming the axis, its value and the rule.
     """
-    check_keys(table, set(ORDER), set(), file=file)
+    check_keys(table, set(ORDER), set(), file=file, under="axes")
     axes: list[Axis] = []
     for name in ORDER:
         if name not in table:
@@ -162,8 +163,8 @@ def _nested(kind: str, table: Any, file: object) -> list[Axis]:
             axes.append(_quantity(kind, key, None, entry, file))
             continue
         if not isinstance(entry, Mapping) or entry.keys() & {"low", "high"}:
-            check_keys({key: entry}, set(known), set(), file=f"{file}: {where}")
-        check_keys(entry, set(known), set(), file=f"{file}: {where}", joint=key)
+            check_keys({key: entry}, set(known), set(), file=file, under=where)
+        check_keys(entry, set(known), set(), file=file, under=f"{where}.{key}")
         axes += [_quantity(kind, name, key, item, file) for name, item in entry.items()]
     return axes
 
@@ -180,7 +181,8 @@ def _numbers(
     """An axis of numbers (or offsets): one, a list, or a range."""
 
     def refuse(rule: str, value: object) -> InputError:
-        return InputError(rule, file=file, quantity=f"axes.{name} [{unit}]", value=value)
+        said = "" if unit == "-" else f" [{unit}]"
+        return InputError(rule, file=file, quantity=f"axes.{name}{said}", value=value)
 
     def checked(value: Any) -> Any:
         if name == "offset" and isinstance(value, list) and len(value) == 3:
@@ -190,7 +192,8 @@ def _numbers(
             raise refuse(f"must be {kind}", value)
         number = as_float(value)
         if not low <= number <= high:
-            raise refuse(f"must be {low:g} to {high:g} {unit}", value)
+            top = str(high) if name in WHOLE else f"{high:g}"
+            raise refuse(f"must be {low:g} to {top}" + ("" if unit == "-" else f" {unit}"), value)
         if name in WHOLE:
             if number != int(number):
                 raise refuse("must be a whole number", value)
@@ -203,7 +206,7 @@ def _numbers(
             values = tuple(value if isinstance(value, tuple) else (value, 0.0, 0.0) for value in values)
         return Axis(name, unit, distinct(values, f"axes.{name}", file))
     known = {"low", "high", "distribution", "points"} | ({"each_joint"} if spread else set())
-    check_keys(entry, known, {"low", "high"}, file=f"{file}: axes.{name}")
+    check_keys(entry, known, {"low", "high"}, file=file, under=f"axes.{name}")
     first, last = checked(entry["low"]), checked(entry["high"])
     if isinstance(first, tuple) or isinstance(last, tuple):
         raise refuse("the ends of a range must be numbers; list vectors instead", dict(entry))
@@ -229,7 +232,7 @@ def _numbers(
 def _names(name: str, entry: Any, file: object) -> tuple[Any, ...]:
     values = entry if isinstance(entry, list) else [entry]
     if name == "pose" and isinstance(entry, Mapping):
-        check_keys(entry, {"random", "margin"}, {"random"}, file=f"{file}: axes.pose")
+        check_keys(entry, {"random", "margin"}, {"random"}, file=file, under="axes.pose")
         count = entry["random"]
         if type(count) is not int or not 1 <= count <= MOST_VALUES:
             raise InputError(
@@ -261,7 +264,7 @@ def _faults(entry: Any, file: object) -> tuple[Any, ...]:
         loads = table.pop("payload_at", [])
         parts = table.pop("faults", [table] if table else [])
         if "faults" in item:
-            check_keys(table, set(), set(), file=f"{file}: axes.fault")
+            check_keys(table, set(), set(), file=file, under="axes.fault")
         for key, rows in (("faults", parts), ("payload_at", loads)):
             if not isinstance(rows, list) or not all(isinstance(row, Mapping) for row in rows):
                 raise InputError(

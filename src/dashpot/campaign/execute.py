@@ -11,13 +11,12 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
+from dashpot.campaign.cluster import AHEAD, on_cluster
 from dashpot.campaign.scenario import Campaign
 from dashpot.campaign.store import Block, Store, run_chunk
-from dashpot.errors import DashpotError, InputError
+from dashpot.errors import DashpotError
 from dashpot.support.workers import cores, deaf_to_interrupts, pool_of
 
-AHEAD = 2  # chunks per worker that wait for it
-CONNECT = 15  # [s] to reach a scheduler
 _HERE: dict[str, Campaign] = {}
 """Campaigns of this process, by digest: what they have built serves the next chunk."""
 
@@ -27,7 +26,7 @@ def execute(
     store: Store,
     *,
     workers: int | None = None,
-    scheduler: str | None = None,
+    client: Any = None,
     advance: Callable[[Block], None] = lambda _: None,
     chunks: Sequence[int] | None = None,
 ) -> None:
@@ -37,7 +36,7 @@ def execute(
         campaign: What to run.
         store: Where results go; written by this process only.
         workers: Local processes; 0: run here; None: one per core.
-        scheduler: Address of a Dask scheduler, which then runs the chunks.
+        client: Of a Dask cluster (`dashpot.campaign.cluster`), which then runs the chunks.
         advance: Called with every chunk written.
         chunks: Only these, in this order; None: all.
 
@@ -48,8 +47,8 @@ def execute(
     if chunks is not None:
         waiting = set(todo)
         todo = [chunk for chunk in chunks if chunk in waiting]
-    if scheduler is not None:
-        results = _dask(campaign, todo, scheduler)
+    if client is not None:
+        results = on_cluster(client, campaign, todo, chunk_of)
     elif workers == 0:
         results = (run_chunk(campaign, chunk) for chunk in todo)
     else:
@@ -106,41 +105,3 @@ def _local(campaign: Campaign, todo: list[int], workers: int) -> Iterator[Block]
                 "a worker process was ended from outside, perhaps for want of memory; what is done "
                 "is kept: run the same command again, perhaps with fewer --workers"
             ) from None
-
-
-def _dask(campaign: Campaign, todo: list[int], scheduler: str) -> Iterator[Block]:
-    try:
-        import distributed
-    except ImportError:
-        raise DashpotError("--scheduler needs pip install 'dashpot[campaign]'") from None
-    cluster: Any = distributed
-    try:
-        client = cluster.Client(scheduler, timeout=CONNECT, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise InputError(f"cannot be reached: {error}", quantity="--scheduler", value=scheduler) from None
-    with client:
-        rest = iter(todo)
-
-        def submit() -> Any:
-            for chunk in rest:
-                key = f"dashpot-{campaign.digest[:12]}-{chunk}"
-                return client.submit(chunk_of, campaign, chunk, key=key, pure=False)
-            return None
-
-        threads = sum(client.nthreads().values())
-        if not threads:
-            raise InputError("has no workers", quantity="--scheduler", value=scheduler)
-        first = [future for _ in range(AHEAD * threads) if (future := submit()) is not None]
-        waiting = cluster.as_completed(first, loop=client.loop)
-        for future in waiting:
-            try:
-                block = future.result()
-            except Exception as error:  # whatever a cluster raises
-                raise DashpotError(
-                    f"{scheduler}: a chunk was lost: {type(error).__name__}: {error}; what is done is "
-                    "kept: run the same command again"
-                ) from None
-            future.release()
-            if (more := submit()) is not None:
-                waiting.add(more)
-            yield block

@@ -90,7 +90,7 @@ def parse_requirements(table: Mapping[str, Any], file: object) -> tuple[Requirem
         degrees = key.endswith(DEGREES)
         name = key.removesuffix(DEGREES)
         known = set(MEASURES) | {m + DEGREES for m, kind in MEASURES.items() if kind.unit.startswith("rad")}
-        check_keys({key: entry}, known, set(), file=f"{file}: requirements")
+        check_keys({key: entry}, known, set(), file=file, under="requirements")
         for item in entry if isinstance(entry, list) else [entry]:
             found.append(_requirement(name, key, degrees, item, file))
     return tuple(found)
@@ -105,7 +105,7 @@ def _requirement(name: str, key: str, degrees: bool, item: Any, file: object) ->
     where = f"requirements.{key}"
     if not isinstance(item, Mapping):
         raise InputError("must be a table, e.g. { max = 0.1 }", file=file, quantity=where, value=item)
-    check_keys(item, KEYS, set(), file=f"{file}: {where}")
+    check_keys(item, KEYS, set(), file=file, under=where)
     if not item.keys() & {"min", "max", "in"}:
         raise InputError("needs a max, a min or an in", file=file, quantity=where, value=dict(item))
     among = item.get("in", [])

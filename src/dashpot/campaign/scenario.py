@@ -20,6 +20,8 @@ from dashpot.arm.payload import Payload
 from dashpot.arm.plant import Plant, build
 from dashpot.arm.robot import Robot
 from dashpot.campaign.axes import ADDED, NO_FAULT
+from dashpot.campaign.blame import of_name
+from dashpot.campaign.checks import check_campaign
 from dashpot.campaign.measures import measure
 from dashpot.campaign.script import Script
 from dashpot.campaign.spec import Spec
@@ -29,7 +31,6 @@ from dashpot.control.supervisorsettings import SupervisorSettings
 from dashpot.errors import InputError
 from dashpot.logs.motionfile import read_motion
 from dashpot.simulation.feedforward import with_feedforward
-from dashpot.simulation.prepare import check
 from dashpot.simulation.recording import Recording
 from dashpot.simulation.release import release_events, tracking_events
 from dashpot.simulation.remember import Remembered
@@ -81,8 +82,12 @@ class Campaign:
 
     def __init__(self, spec: Spec) -> None:
         self.spec = spec
-        self.robot = Robot.load(_file(spec, spec.robot))
-        self.configs = {name: load_controller(_file(spec, name)) for name in spec.controllers}
+        with of_name(spec.file, "robot", spec.robot):
+            self.robot = Robot.load(_file(spec, spec.robot))
+        self.configs = {}
+        for name in spec.controllers:
+            with of_name(spec.file, "controller", name):
+                self.configs[name] = load_controller(_file(spec, name))
         self.digests = _digests(spec, self.robot, self.configs)
         whole = json.dumps([spec.resolved, self.digests, versions()], sort_keys=True)
         self.digest = hashlib.sha256(whole.encode()).hexdigest()
@@ -245,9 +250,8 @@ class Campaign:
             *joint, gain = key.removeprefix("gains.").split(".")
             wanted = ".".join(joint)
             if wanted and wanted not in [own.name for own in joints]:
-                raise InputError(
-                    "not controlled there", file=config.file, joint=wanted, quantity=f"axes.{key}"
-                )
+                rule = f"{config.file} does not control it"
+                raise InputError(rule, file=self.spec.file, joint=wanted, quantity=f"axes.{key}")
             for i, own in enumerate(joints):
                 if wanted in ("", own.name):
                     joints[i] = replace(own, **{gain: getattr(own, gain) * factor})
@@ -307,22 +311,7 @@ class Campaign:
         Raises:
             DashpotError: A value is not valid, or a scenario there cannot be built.
         """
-        spec, base = self.spec, self.values(0)
-        for axis in spec.axes:
-            *joint, _ = axis.name.split(".")[1:] or [""]
-            if joint:
-                self.robot.index(".".join(joint))
-        for requirement in spec.requirements:
-            if requirement.joint is not None:
-                self.robot.index(requirement.joint)
-        self._probe(base)
-        for axis in spec.axes:
-            for end in axis.ends():
-                value = (end,) * len(self.robot.joints) if axis.each_joint else end
-                self._probe({**base, axis.name: value})
-
-    def _probe(self, values: Mapping[str, Any]) -> None:
-        check(self.assemble(self.setting(0, values)))
+        check_campaign(self)
 
     def measure(self, setting: Setting, scenario: Scenario, recording: Recording) -> dict[str, Any]:
         """Measures of a run of a scenario (`dashpot.campaign.measures`)."""

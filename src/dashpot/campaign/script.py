@@ -37,7 +37,7 @@ class Script:
             InputError: A fault or a change of payload is not valid.
         """
         loads = [_load(row, file) for row in value["payload_at"]]
-        script = cls(tuple(Fault.from_table(part, file=file) for part in value["faults"]), tuple(loads))
+        script = cls(tuple(_fault(part, file) for part in value["faults"]), tuple(loads))
         script.changes(Payload(0.0), file)
         return script
 
@@ -75,22 +75,34 @@ class Script:
             )
         except InputError as error:
             raise InputError(
-                error.rule, file=file, quantity=f"axes.fault.payload_at: {error.quantity}", value=error.value
+                error.rule, file=file, quantity=f"axes.fault.payload_at.{error.quantity}", value=error.value
             ) from None
 
 
+def _fault(part: Mapping[str, Any], file: object) -> Fault:
+    """A fault; what is wrong with it is named by its key."""
+    try:
+        return Fault.from_table(part)
+    except InputError as error:
+        key = (error.quantity or "").removeprefix("fault ").removeprefix(f"{part.get('kind')} ")
+        named = ".".join(filter(None, ("axes.fault", key)))
+        raise InputError(
+            error.rule, file=file, joint=error.joint, quantity=named, value=error.value
+        ) from None
+
+
 def _load(row: Mapping[str, Any], file: object) -> Mapping[str, Any]:
-    where = f"{file}: axes.fault.payload_at"
-    check_keys(row, {"time", "mass", "offset", "length"}, {"time", "mass"}, file=where)
+    where = "axes.fault.payload_at"
+    check_keys(row, {"time", "mass", "offset", "length"}, {"time", "mass"}, file=file, under=where)
     found: dict[str, Any] = {}
     for key, value in row.items():
         vector = key == "offset" and isinstance(value, list) and len(value) == 3
         parts = value if vector else [value]
         if not all(type(part) in (int, float) for part in parts):
             kind = "a number or [x, y, z]" if key == "offset" else "a number"
-            raise InputError(f"must be {kind}", file=where, quantity=key, value=value)
+            raise InputError(f"must be {kind}", file=file, quantity=f"{where}.{key}", value=value)
         numbers = tuple(as_float(part) for part in parts)
         found[key] = numbers if vector else numbers[0]
     if not found["mass"] >= 0:
-        raise InputError("must not be negative", file=where, quantity="mass [kg]", value=found["mass"])
+        raise InputError("must not be negative", file=file, quantity=f"{where}.mass [kg]", value=row["mass"])
     return found

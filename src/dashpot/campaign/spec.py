@@ -19,6 +19,7 @@ from dashpot.campaign.requirements import Requirement, parse_requirements
 from dashpot.control.supervisorsettings import SupervisorSettings
 from dashpot.errors import InputError
 from dashpot.support.arrays import Floats
+from dashpot.support.limits import check_seed
 from dashpot.support.tables import as_float, check_keys, check_numbers, number
 
 PRESETS = ("readiness",)
@@ -95,18 +96,13 @@ class Spec:
                 f'a range needs sample = "{SAMPLES[0]}" or "{SAMPLES[1]}" and a count, or points of its own',
                 f"axes.{sampled[0]}",
             )
-        if self.sample is not None and not sampled:
-            raise self._refuse("no axis is a range to sample, {low = ..., high = ...}", "sample", self.sample)
         if sampled and (type(self.count) is not int or not 1 <= self.count <= MOST):
             raise self._refuse(f"must be 1 to {MOST} points of the sample", "count", self.count)
-        if not sampled and self.count:
-            raise self._refuse("is for samples only", "count", self.count)
         if type(self.gravity_compensation) is not bool:
             raise self._refuse("must be true or false", "gravity_compensation", self.gravity_compensation)
         if self.engine not in ENGINES:
             raise self._refuse(f"must be one of {', '.join(ENGINES)}", "engine", self.engine)
-        if type(self.seed) is not int or not 0 <= self.seed < 2**31:
-            raise self._refuse("must be a whole number, not negative", "seed", self.seed)
+        check_seed(self.seed, "seed", file=self.file)
         if self.chunk is not None and (type(self.chunk) is not int or not 1 <= self.chunk <= 10_000):
             raise self._refuse("must be 1 to 10000 scenarios", "chunk", self.chunk)
         if self.size > MOST:
@@ -136,6 +132,12 @@ class Spec:
                         raise self._refuse(
                             f"not on this axis: {shown}", f"requirements.{requirement.name}.where", one
                         )
+
+        # Last: whoever is about to add the range is told what else is wrong.
+        if self.sample is not None and not sampled:
+            raise self._refuse("no axis is a range to sample, {low = ..., high = ...}", "sample", self.sample)
+        if not sampled and self.count:
+            raise self._refuse("is for samples only", "count", self.count)
 
     def _refuse(self, rule: str, quantity: str, value: object = None) -> InputError:
         return InputError(rule, file=self.file, quantity=quantity, value=value)
@@ -296,9 +298,12 @@ class Spec:
         if isinstance(controllers, list) and len(controllers) > 1:
             given["controller"] = controllers
         names = tuple(controllers) if isinstance(controllers, list) else (controllers,)
-        for key, values in (("robot", (table["robot"],)), ("controller", names)):
+        for key, values, entry in (
+            ("robot", (table["robot"],), table["robot"]),
+            ("controller", names, controllers),
+        ):
             if not values or not all(isinstance(value, str) and value for value in values):
-                raise InputError("must be a file or a bundled name", file=file, quantity=key, value=values)
+                raise InputError("must be a file or a bundled name", file=file, quantity=key, value=entry)
         for key in ("motion", "sample", "engine"):
             if not isinstance(table.get(key, ""), str):
                 raise InputError("must be a text", file=file, quantity=key, value=table[key])

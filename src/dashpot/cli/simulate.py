@@ -90,7 +90,7 @@ class Studio:
 
     Example: dashpot studio fr3 --payload 2
 
-    Needs viser: `make studio` in a checkout, else pip install 'dashpot[studio]'. Works offline.
+    Needs viser: `make studio` in a checkout, else dashpot doctor says how to get it. Works offline.
     """
 
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")] = "k807"

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dashpot.arm.robot import BUNDLED as ROBOTS
 from dashpot.campaign.axes import value_label
+from dashpot.campaign.cluster import check_address, connected
 from dashpot.campaign.execute import execute
 from dashpot.campaign.judge import judge
 from dashpot.campaign.measures import MEASURES
@@ -21,8 +23,11 @@ from dashpot.commands.aside import run_aside
 from dashpot.commands.campaign_view import progress_bar, show_plan, show_replay, show_results, show_supervisor
 from dashpot.commands.shared import check_place
 from dashpot.commands.simulate_view import draw, show
+from dashpot.control.controller import BUNDLED as CONTROLLERS
 from dashpot.errors import DashpotError, InputError
 from dashpot.simulation.engine import quiet_engine
+from dashpot.support.installing import install
+from dashpot.support.limits import check_workers
 from dashpot.support.output import whole_folder
 from dashpot.support.plots import save
 from dashpot.support.waiting import waiting
@@ -43,7 +48,7 @@ def needs_campaign_extra() -> None:
         import xarray  # noqa: F401
         import zarr  # noqa: F401
     except ImportError as error:
-        raise DashpotError(f"{error.name} is not installed: pip install 'dashpot[campaign]'") from None
+        raise DashpotError(f"{error.name} is not installed: {install('campaign')}") from None
 
 
 def campaign(options: Options) -> int:
@@ -54,20 +59,42 @@ def campaign(options: Options) -> int:
         raise InputError(
             f"needs either a file or --preset {'|'.join(PRESETS)}", quantity="SPEC", value=options.spec
         )
-    if options.workers is not None and options.workers < 1:
-        raise InputError("must be at least 1", quantity="--workers", value=options.workers)
+    check_workers(options.workers)
     if options.workers is not None and options.scheduler is not None:
         raise InputError(
             "has workers of its own; leave --workers out", quantity="--scheduler", value=options.scheduler
         )
+    if options.scheduler is not None:
+        check_address(options.scheduler)
+    with waiting("preparing"):
+        plan = Campaign(_spec(options))
+        plan.check()
+    if options.scheduler is None:
+        return _run(options, plan, None)
+    with connected(options.scheduler) as client:  # before there is a dataset
+        return _run(options, plan, client)
+
+
+def _spec(options: Options) -> Spec:
+    """The specification with the flags in it."""
     source = options.preset or options.spec
     assert source is not None
+    beside = Path() if options.spec is None else Path(options.spec).parent
+    flags: dict[str, list[str]] = {"--robot": [options.robot] if options.robot else []}
+    flags["--controller"] = list(options.controller)
+    for flag, names in flags.items():
+        known = ROBOTS if flag == "--robot" else CONTROLLERS
+        for name in names:
+            if name not in known and not Path(name).is_file() and not (beside / name).is_file():
+                rule = f"neither a file nor a bundled name ({', '.join(known)})"
+                raise InputError(rule, quantity=flag, value=name)
     robot = None if options.robot is None else _absolute(options.robot)
-    with waiting("preparing"):
-        spec = Spec.load(source, robot=robot, controller=tuple(map(_absolute, options.controller)))
-        plan = Campaign(spec)
-        plan.check()
-    out = options.out
+    return Spec.load(source, robot=robot, controller=tuple(map(_absolute, options.controller)))
+
+
+def _run(options: Options, plan: Campaign, client: Any) -> int:
+    """Runs what is not done yet, and judges."""
+    spec, out = plan.spec, options.out
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         check_same(out, attributes(out), plan)
     else:
@@ -85,7 +112,7 @@ def campaign(options: Options) -> int:
                 advance(block)
                 stop_if_told()
 
-            execute(plan, store, workers=options.workers, scheduler=options.scheduler, advance=written)
+            execute(plan, store, workers=options.workers, client=client, advance=written)
     except KeyboardInterrupt:
         print(
             f"dashpot: {done} of {spec.size} scenarios are kept; the same command continues", file=sys.stderr
@@ -110,6 +137,9 @@ def replay(options: Replay) -> int:
     check_place(options.out, [options.dataset])
     with waiting("preparing"):
         plan = campaign_of(options.dataset)
+    if not 0 <= options.index < plan.spec.size:
+        rule = f"must be 0 to {plan.spec.size - 1}, the scenarios of {options.dataset}"
+        raise InputError(rule, quantity="INDEX", value=options.index)
     setting = plan.setting(options.index)
     scenario = plan.assemble(setting)
     controller = scenario.controller

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import dashpot
 from dashpot.arm.robot import Robot
-from dashpot.commands.shared import check_place, file_names, progress
+from dashpot.commands.shared import check_joints, check_place, file_names, progress
 from dashpot.design.conflicts import Conflict
 from dashpot.design.design import Design, JointDesign, design_joint, duties
 from dashpot.design.spec import WISHES, Spec
 from dashpot.design.wishes import Wishes
 from dashpot.errors import InputError, InputWarning
+from dashpot.support.limits import check_workers
 from dashpot.support.output import whole_folder
 from dashpot.support.workers import cores, each
 
@@ -33,9 +34,9 @@ MEANS = tuple(f.name for f in fields(Spec) if f.name not in ("preset", "wishes",
 def design(options: Options) -> int:
     """``dashpot design``; returns the exit status: 1 where wishes of a joint conflict."""
     robot, spec = Robot.load(options.robot), specification(options)
+    check_workers(options.workers)
     workers = cores() if options.workers is None else options.workers
-    if workers < 1:
-        raise InputError("must be at least 1", quantity="--workers", value=workers)
+    check_joints(options.joint or (), robot, "--joint")
     check_place(options.out, (robot.file, robot.model, spec.file))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)  # gains are no input, and what is has been warned of
@@ -97,7 +98,7 @@ def _changed(base: Spec, given: Mapping[str, Any]) -> Spec:
         name, _, unit = (error.quantity or "").partition(" ")
         if name not in given:
             raise
-        flag = "--" + name.replace("_", "-")
+        flag = "--joint" if name == "joints" else "--" + name.replace("_", "-")
         raise InputError(error.rule, quantity=f"{flag} {unit}".rstrip(), value=error.value) from None
 
 

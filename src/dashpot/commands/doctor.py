@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from dashpot.commands.shared import bare_table, verdict
+from dashpot.support.installing import install
 from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
@@ -102,14 +103,16 @@ def core() -> Iterator[Finding]:
         import dashpot._native as native
         from dashpot.support.workers import cores
     except ImportError as error:
-        advice = "pip install --force-reinstall dashpot"
+        advice = (
+            "install dashpot again, from where it came: a wheel of this Python and machine, or its sources"
+        )
         yield Finding("core", "native library", "broken", str(error), advice)
     else:
         vectors = ", ".join(native.LANES.values())
         yield Finding("core", "native library", "ok", f"vectors: {vectors}; {cores()} cores")
     for one in _asked():
         if "extra" not in str(one.marker) and (one.marker is None or one.marker.evaluate()):
-            yield _package("core", one, "broken", "pip install --upgrade dashpot")
+            yield _package("core", one, "broken", install())
 
 
 def extras() -> Iterator[Finding]:
@@ -120,7 +123,7 @@ def extras() -> Iterator[Finding]:
             if one.marker is None or not found:
                 continue
             if one.marker.evaluate({"extra": extra}):
-                yield _package(extra, one, "missing", f"{use} it: pip install 'dashpot[{extra}]'")
+                yield _package(extra, one, "missing", f"{use} it: {install(extra)}")
             else:
                 rule = rule.removesuffix(" and ").strip()
                 yield Finding(extra, one.name, "missing", "not for this Python or machine", f"{use} {rule}")

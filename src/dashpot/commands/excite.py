@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
-from dashpot.arm.payload import Payload
 from dashpot.arm.robot import Robot
 from dashpot.commands.excite_view import draw, show
-from dashpot.commands.shared import payload_offset
+from dashpot.commands.shared import check_joints, payload_of
 from dashpot.control.controller import load_controller
-from dashpot.errors import InputError
 from dashpot.excite import Limits
 from dashpot.excite import excite as search
 from dashpot.logs.motionfile import write_motion
 from dashpot.simulation.engine import quiet_engine
+from dashpot.support.limits import check_seed
 from dashpot.support.output import whole_folder
 from dashpot.support.plots import save
 from dashpot.support.waiting import waiting
@@ -29,10 +27,10 @@ def excite(options: Excite) -> int:
     """``dashpot excite``; returns the exit status."""
     robot = Robot.load(options.robot)
     limits = Limits(options.amplitude, options.speed, options.torque_share)
-    if options.seed < 0:
-        raise InputError("must not be negative", quantity="--seed", value=options.seed)
+    check_seed(options.seed)
+    check_joints(options.joints, robot, "--joints")
     period = PERIOD if options.controller is None else load_controller(options.controller).period
-    payloads = [Payload(mass, payload_offset(options.offset)) for mass in options.payload]
+    payloads = [payload_of(mass, options.offset) for mass in options.payload]
     quiet_engine()
     with waiting("looking for a motion"):
         found = search(
@@ -49,13 +47,3 @@ def excite(options: Excite) -> int:
         save(draw(found, limits), folder / "motion")
     show(found, limits, options)
     return 0
-
-
-def _offset(offset: tuple[float, ...]) -> float | tuple[float, float, float]:
-    """As `Payload` takes it."""
-    match offset:
-        case (x,) if math.isfinite(x):
-            return x
-        case (x, y, z) if all(map(math.isfinite, offset)):
-            return x, y, z
-    raise InputError("must be one finite number or three", quantity="--offset [m]", value=offset)

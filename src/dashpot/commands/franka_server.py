@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.markup import escape
 
-from dashpot.arm.payload import Payload
 from dashpot.arm.robot import Robot
-from dashpot.commands.shared import bare_table, payload_offset
-from dashpot.commands.simulate_faults import read_changes, read_faults
+from dashpot.commands.shared import bare_table, check_file_place, of_flags, payload_of
+from dashpot.commands.simulate_faults import of_faults, read_changes, read_faults
 from dashpot.errors import InputError
 from dashpot.hardware.franka_server.arm import Arm
 from dashpot.hardware.franka_server.limits import FR3
 from dashpot.hardware.franka_server.server import Server
 from dashpot.simulation.engine import quiet_engine
+from dashpot.support.limits import check_seed
 
 if TYPE_CHECKING:
     from dashpot.cli.deploy import FrankaServer
@@ -37,18 +37,23 @@ def franka_server(options: FrankaServer) -> int:
         )
     if options.log is not None and options.log.suffix != ".npz":
         raise InputError("must end in .npz", quantity="--log", value=str(options.log))
+    if options.log is not None:
+        check_file_place(options.log, "--log")
+    check_seed(options.seed)
     quiet_engine()
-    payload = Payload(options.payload, payload_offset(options.offset))
+    payload = payload_of(options.payload, options.offset)
+    robot = Robot.load(options.robot)
     console = Console(highlight=False, soft_wrap=True)
-    arm = Arm(
-        Robot.load(options.robot),
-        payload,
-        faults=read_faults(options.fault),
-        payload_changes=read_changes(options.payload_at, payload),
-        seed=options.seed,
-        friction=options.friction,
-        record=options.log is not None,
-    )
+    with of_faults(), of_flags({"friction compensation [-]": "--friction"}):
+        arm = Arm(
+            robot,
+            payload,
+            faults=read_faults(options.fault, robot),
+            payload_changes=read_changes(options.payload_at, payload),
+            seed=options.seed,
+            friction=options.friction,
+            record=options.log is not None,
+        )
 
     def say(line: str) -> None:
         console.print(escape(line))

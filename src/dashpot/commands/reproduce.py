@@ -10,12 +10,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from dashpot.commands.shared import bare_table, verdict
-from dashpot.errors import InputError
 
 if TYPE_CHECKING:
     from dashpot.paper.relations import Relation
 
 from dashpot.simulation.engine import quiet_engine
+from dashpot.support.limits import check_workers
 from dashpot.support.waiting import waiting
 
 FIGURES = {
@@ -30,8 +30,7 @@ def reproduce(out: Path, seeds: int, threads: int | None) -> int:
     with waiting("starting"):
         from dashpot.paper.reproduction import reproduce as run_study
 
-    if threads is not None and threads < 1:
-        raise InputError("must be at least 1", quantity="--threads", value=threads)
+    check_workers(threads, "--threads")
     quiet_engine()
     relations, results = run_study(out, seeds, threads)
     console = Console()

@@ -9,16 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dashpot.arm.drive import Drive
-from dashpot.arm.payload import Payload
 from dashpot.arm.robot import Robot
-from dashpot.commands.shared import payload_offset
+from dashpot.commands.shared import check_file_place, payload_of
 from dashpot.control.controller import Controller, ControllerConfig, load_controller
 from dashpot.control.supervisor import Supervisor
 from dashpot.errors import InputError
+from dashpot.logs import check_log_path
 from dashpot.logs.motionfile import read_motion
 from dashpot.simulation.feedforward import with_feedforward
 from dashpot.simulation.release import tracking_events
 from dashpot.simulation.trajectory import Trajectory, hold
+from dashpot.support.limits import check_seed
 
 if TYPE_CHECKING:
     from dashpot.arm.plant import Plant
@@ -93,10 +94,11 @@ def check_options(options: Run) -> None:
         raise InputError("is not looked at with --uncertified; leave one out", quantity="--certificate")
     if not 10 <= options.samples <= MOST_SAMPLES:
         raise InputError(f"must be 10 to {MOST_SAMPLES}", quantity="--samples", value=options.samples)
-    if options.cpu is not None and options.cpu < 0:
-        raise InputError("must not be negative", quantity="--cpu", value=options.cpu)
-    if options.seed < 0:
-        raise InputError("must not be negative", quantity="--seed", value=options.seed)
+    own = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
+    if options.cpu is not None and options.cpu not in own:
+        rule = f"not a processor that this process may use: {', '.join(map(str, sorted(own)))}"
+        raise InputError(rule, quantity="--cpu", value=options.cpu)
+    check_seed(options.seed)
     if not 0 <= options.priority <= 99:
         raise InputError("must be 0 (none) to 99", quantity="--priority", value=options.priority)
     for key, file, suffix in (("--log", options.log, ".mcap"), ("--record", options.record, ".npz")):
@@ -104,10 +106,9 @@ def check_options(options: Run) -> None:
             continue
         if file.suffix.lower() != suffix:
             raise InputError(f"must end in {suffix}", quantity=key, value=str(file))
-        if file.is_dir():
-            raise InputError("is a folder", quantity=key, value=str(file))
-        if not os.access(file.parent, os.W_OK):
-            raise InputError("is in no folder that can be written", quantity=key, value=str(file))
+        check_file_place(file, key)
+    if options.log is not None:
+        check_log_path(options.log, "--log")
 
 
 def prepare(options: Run) -> Job:
@@ -120,7 +121,7 @@ def prepare(options: Run) -> Job:
         from dashpot.arm.plant import build
         from dashpot.simulation.prepare import encoder_ranges
 
-        load = Payload(options.payload, payload_offset(options.offset))
+        load = payload_of(options.payload, options.offset)
         plant = build(robot, config.period, [load] if load.mass > 0 else [])
         ranges = encoder_ranges(plant)
     supervisor = Supervisor(controller, robot.drives, config.supervisor, limits=ranges)

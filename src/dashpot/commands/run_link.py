@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dashpot.arm.payload import Payload
 from dashpot.commands.run_job import Job
-from dashpot.commands.shared import payload_offset
+from dashpot.commands.shared import payload_of
 from dashpot.control.controller import Controller
 from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.interface import Hardware
@@ -22,6 +21,7 @@ from dashpot.hardware.runtime import Start, said
 from dashpot.simulation.release import tracking_events
 from dashpot.simulation.simulate import Scenario
 from dashpot.simulation.trajectory import Trajectory
+from dashpot.support.installing import install
 from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def connected(options: Run, job: Job) -> Iterator[tuple[Hardware, Start | None]]
 
 
 def _simulated(options: Run, job: Job) -> tuple[Hardware, Start | None]:
-    from dashpot.commands.simulate_faults import read_changes, read_faults
+    from dashpot.commands.simulate_faults import of_faults, read_changes, read_faults
     from dashpot.hardware.sim import LinkSettings, SimHardware
     from dashpot.simulation.prepare import check
 
@@ -61,13 +61,12 @@ def _simulated(options: Run, job: Job) -> tuple[Hardware, Start | None]:
         path,
         tracking_events(job.config, path.start),
         seed=options.seed,
-        faults=read_faults(options.fault),
-        payload_changes=read_changes(
-            options.payload_at, Payload(options.payload, payload_offset(options.offset))
-        ),
+        faults=read_faults(options.fault, job.robot),
+        payload_changes=read_changes(options.payload_at, payload_of(options.payload, options.offset)),
         gravity_compensation=True,
     )
-    check(scenario)  # what fails does so while the motion lasts
+    with of_faults():
+        check(scenario)  # what fails does so while the motion lasts
     longer = replace(scenario, trajectory=standing(path, after + link.after))
     hardware = SimHardware(longer, link, supervisor=job.supervisor)
     return hardware, hardware.equilibrium()
@@ -111,8 +110,7 @@ def _robot(options: Run, job: Job) -> Hardware:
         raise
     except ModuleNotFoundError as error:
         raise InputError(
-            f"cannot be imported: {error}"
-            + ("; pip install 'dashpot[franka]'" if options.via == "franka" else ""),
+            f"cannot be imported: {error}" + (f"; {install('franka')}" if options.via == "franka" else ""),
             quantity="--via",
             value=options.via,
         ) from None

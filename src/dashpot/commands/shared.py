@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import tempfile
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,7 +16,9 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from dashpot.errors import InputError
+from dashpot.arm.payload import Payload
+from dashpot.arm.robot import Robot
+from dashpot.errors import InputError, InputWarning
 
 
 def file_names(joints: Sequence[str]) -> dict[str, str]:
@@ -41,6 +45,77 @@ def payload_offset(values: tuple[float, ...]) -> float | tuple[float, float, flo
         case (x, y, z):
             return x, y, z
     raise InputError("must be one number or three", quantity="--offset [m]", value=values)
+
+
+def payload_of(mass: float, offset: tuple[float, ...], flag: str = "--payload") -> Payload:
+    """The payload of ``--payload`` and ``--offset``.
+
+    Raises:
+        InputError: It cannot be; names the flag.
+
+    Warns:
+        InputWarning: The mass is unusual; likewise.
+    """
+    place = payload_offset(offset)
+    names = {"mass [kg]": f"{flag} [kg]", "payload offset [m]": "--offset [m]"}
+    with warnings.catch_warnings(record=True) as caught, of_flags(names):
+        warnings.simplefilter("always", InputWarning)
+        payload = Payload(mass, place)
+    for warning in caught:
+        text = str(warning.message).replace("mass [kg]", names["mass [kg]"], 1)
+        warnings.warn(text, InputWarning, stacklevel=2)
+    return payload
+
+
+@contextmanager
+def of_flags(names: Mapping[str, str]) -> Iterator[None]:
+    """Calls a quantity that is refused below what its flag is called.
+
+    Args:
+        names: Quantity -> flag, each with its unit.
+    """
+    try:
+        yield
+    except InputError as error:
+        flag = names.get(error.quantity or "")
+        if flag is None:
+            raise
+        raise InputError(error.rule, quantity=flag, value=error.value) from None
+
+
+def check_joints(names: Iterable[str], robot: Robot, flag: str) -> None:
+    """Checks that joints behind a flag are the robot's.
+
+    Raises:
+        InputError: One is not.
+    """
+    for name in names:
+        if name not in robot.joints:
+            rule = f"no such joint; {robot.name} has {', '.join(robot.joints)}"
+            raise InputError(rule, quantity=flag, value=name)
+
+
+def check_file_place(path: Path, flag: str, made: Path | None = None) -> None:
+    """Checks that a file can be written where it shall be, before anything is done for it.
+
+    Args:
+        path: The file.
+        flag: That names it.
+        made: Folder that will be made, with those above it; None: none will.
+
+    Raises:
+        InputError: It cannot.
+    """
+    if path.is_dir():
+        raise InputError("is a folder", quantity=flag, value=str(path))
+    folder = path.resolve().parent
+    if made is not None and (folder.is_relative_to(made.resolve()) or made.resolve().is_relative_to(folder)):
+        return
+    try:
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        rule = f"is in no folder that can be written: {error.strerror or error}"
+        raise InputError(rule, quantity=flag, value=str(path)) from None
 
 
 @contextmanager

@@ -24,6 +24,7 @@ from dashpot.simulation.release import release_events, tracking_events
 from dashpot.simulation.simulate import Event, Scenario, run
 from dashpot.simulation.trace import run_traced
 from dashpot.simulation.trajectory import Trajectory, hold, multisine
+from dashpot.support.limits import check_seed
 from dashpot.support.output import whole_folder
 from dashpot.support.plots import save
 from dashpot.support.waiting import waiting
@@ -32,14 +33,15 @@ if TYPE_CHECKING:
     from dashpot.cli.simulate import Simulate
 
 from dashpot.commands.aside import run_aside
-from dashpot.commands.shared import clock, payload_offset
-from dashpot.commands.simulate_faults import marks, read_changes, read_faults
+from dashpot.commands.shared import check_file_place, clock, payload_of, payload_offset
+from dashpot.commands.simulate_faults import marks, of_faults, read_changes, read_faults
 from dashpot.commands.simulate_view import draw, show
 from dashpot.simulation.engine import quiet_engine
 
 LOGGED = 1e-4  # [s], longest step of the engine for a log
 LEAD_IN = 1.0  # [s] at rest before a motion
 DURATION = 6.0  # [s] of a motion that does not say
+MAX_TAP = 1e5  # [N m], as of campaigns
 MAX_TICKS = 1_000_000  # of one recording: about 1 GB of memory for seven joints
 
 
@@ -48,11 +50,12 @@ def simulate(options: Simulate) -> int:
     _check(options)
     if options.log is not None:
         check_log_path(options.log, "--log")
+        check_file_place(options.log, "--log", made=options.out)
     quiet_engine()
     robot, config = Robot.load(options.robot), load_controller(options.controller)
     carried = options.gravity_compensation and robot.gravity_compensation
     controller = Controller.from_config(config, robot.drives)
-    payload = Payload(options.payload, payload_offset(options.offset))
+    payload = payload_of(options.payload, options.offset)
     # A log stands for the real thing, whose friction and damping do not depend on a time step.
     step = config.period if options.log is None else config.period / math.ceil(config.period / LOGGED)
     plant = build(robot, step, [payload] if payload.mass > 0 else [])
@@ -60,23 +63,27 @@ def simulate(options: Simulate) -> int:
     path = with_feedforward(robot, config, path, carried=carried)
     _warn_of_range(plant, path, options)
     _warn_of_saturation(plant, path, payload, carried)
-    faults, changes = read_faults(options.fault), read_changes(options.payload_at, payload)
+    faults, changes = read_faults(options.fault, robot), read_changes(options.payload_at, payload)
     for change in changes:
         if change.payload is not None:
             loaded = with_payload(plant, change.payload, config.period)
             _warn_of_saturation(loaded, path, change.payload, carried)
+    for name in options.bypass:
+        if name not in (*controller.joints, "all"):
+            rule = f"not controlled here; controlled: {', '.join(controller.joints)}; or all"
+            raise InputError(rule, quantity="--bypass", value=name)
     bypassed = controller.joints if "all" in options.bypass else options.bypass
     events = [Event(path.start, joint, "mode", "bypass") for joint in bypassed]
     events += tracking_events(config, path.start, bypassed)
     if options.release is not None:
-        if not path.time[0] <= options.release <= path.time[-1]:  # also catches NaN
+        if not 0 <= options.release < path.time[-1]:  # also catches NaN
             raise InputError(
-                f"must be within the motion, {path.time[0]:g} to {path.time[-1]:g} s",
+                f"must be within the motion, 0 to {path.time[-1]:g} s",
                 quantity="--release [s]",
                 value=options.release,
             )
         events += release_events(config, options.release, bypassed)
-    with whole_folder(options.out) as folder:
+    with whole_folder(options.out) as folder, of_faults():
         external = tap(path, len(robot.drives), options.tap) if options.tap else None
         scenario = Scenario(
             plant,
@@ -129,13 +136,14 @@ def _check(options: Simulate) -> None:
     offset = payload_offset(options.offset)
     if not np.isfinite(offset).all():
         raise InputError("must be finite", quantity="--offset [m]", value=offset)
-    if not math.isfinite(options.tap):
-        raise InputError("must be finite", quantity="--tap [N m]", value=options.tap)
+    if not abs(options.tap) <= MAX_TAP:  # also catches NaN
+        rule = f"must be {-MAX_TAP:g} to {MAX_TAP:g} N m"
+        raise InputError(rule, quantity="--tap [N m]", value=options.tap)
+    check_seed(options.seed)
     for key, unit, low, high in (
         ("payload", "kg", 0.0, math.inf),
         ("amplitude", "rad", 0.0, MAX_ANGLE),
         ("duration", "s", 0.0, math.inf),
-        ("seed", "-", 0.0, math.inf),
     ):
         value = getattr(options, key)
         if value is None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from string import ascii_uppercase
 from typing import Any
@@ -15,9 +16,9 @@ from rich.table import Table
 
 from dashpot.arm.payload import Payload
 from dashpot.arm.robot import Robot
-from dashpot.commands.shared import bare_table
+from dashpot.commands.shared import bare_table, check_joints, of_flags
 from dashpot.errors import InputError
-from dashpot.simulation.faults import KINDS, Fault
+from dashpot.simulation.faults import KINDS, NAMES, Fault
 from dashpot.simulation.recording import Recording
 from dashpot.simulation.simulate import PayloadChange
 from dashpot.support.plots import BLACK, GREEN, PURPLE
@@ -58,13 +59,32 @@ class Mark:
         return GREEN if self.what == "payload" else BLACK if self.decision else PURPLE
 
 
-def read_faults(texts: Sequence[str]) -> list[Fault]:
+def read_faults(texts: Sequence[str], robot: Robot) -> list[Fault]:
     """Reads ``--fault``.
 
     Raises:
-        InputError: See `Fault.from_text`.
+        InputError: See `Fault.from_text`; or the robot has no such joint.
     """
-    return [Fault.from_text(text) for text in texts]
+    with of_faults():
+        faults = [Fault.from_text(text) for text in texts]
+    check_joints((fault.joint for fault in faults if fault.joint != "all"), robot, "--fault joint")
+    return faults
+
+
+@contextmanager
+def of_faults() -> Iterator[None]:
+    """Names the flag of a fault, or of a change of payload, that is refused below."""
+    try:
+        yield
+    except InputError as error:
+        quantity = error.quantity or ""
+        if quantity == "payload change [s]":
+            quantity = "--payload-at [s]"
+        elif quantity.partition(" ")[0] in ("fault", *NAMES):
+            quantity = f"--fault {quantity.removeprefix('fault ')}"
+        else:
+            raise
+        raise InputError(error.rule, joint=error.joint, quantity=quantity, value=error.value) from None
 
 
 def read_changes(texts: Sequence[str], like: Payload) -> list[PayloadChange]:
@@ -84,7 +104,8 @@ def read_changes(texts: Sequence[str], like: Payload) -> list[PayloadChange]:
             ) from None
         if not (math.isfinite(kilograms) and kilograms >= 0):
             raise InputError("must be finite and not negative", quantity="--payload-at [kg]", value=kilograms)
-        load = Payload(kilograms, like.offset) if kilograms > 0 else None
+        with of_flags({"mass [kg]": "--payload-at [kg]"}):
+            load = Payload(kilograms, like.offset) if kilograms > 0 else None
         changes.append(PayloadChange(at, load))
     return changes
 

@@ -5,20 +5,19 @@ from __future__ import annotations
 import gc
 import math
 import signal
-import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-import dashpot
-from dashpot.arm.payload import Payload
+from dashpot.commands.shared import payload_of
 from dashpot.errors import DashpotError, InputError
 from dashpot.simulation.engine import quiet_engine
+from dashpot.support.installing import install
+from dashpot.support.limits import check_seed
 from dashpot.support.waiting import waiting
 
 if TYPE_CHECKING:
@@ -30,18 +29,17 @@ EVERY = 10.0  # [s] between two lines of the soak, and two collections
 def studio(options: Studio) -> int:
     """``dashpot studio``; runs until Ctrl-C, or for the time that was asked for."""
     _check(options)
+    payload = payload_of(options.payload, options.offset)
     try:
         import viser  # noqa: F401
     except ImportError:
-        raise DashpotError(f"the studio needs viser: {_install()}") from None
+        raise DashpotError(f"the studio needs viser: {install('studio')}") from None
     with waiting("starting"):
         from dashpot.studio.choices import controller_of
         from dashpot.studio.page import open_page
 
     controller = options.controller or controller_of(options.robot)
     quiet_engine()
-    x = options.offset
-    payload = Payload(options.payload, x[0] if len(x) == 1 else (x[0], x[1], x[2]))
     page, console = None, Console()
     try:
         with waiting("opening the page"):
@@ -87,16 +85,8 @@ def _undisturbed() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _install() -> str:
-    """The command that installs what the studio needs for this interpreter."""
-    root = Path(dashpot.__file__).parents[2]
-    what = f"-e '{root}[studio]'" if (root / "pyproject.toml").is_file() else "'dashpot[studio]'"
-    return f"{sys.executable} -m pip install {what}"
-
-
 def _check(options: Studio) -> None:
-    if len(options.offset) not in (1, 3):
-        raise InputError("must be one number or three", quantity="--offset [m]", value=options.offset)
+    check_seed(options.seed)
     if not 0 <= options.port <= 65535:
         raise InputError("must be 0 to 65535", quantity="--port", value=options.port)
     if options.run_for is not None and not (math.isfinite(options.run_for) and options.run_for > 0):

@@ -95,7 +95,7 @@ class SupervisorSettings:
         if not isinstance(table, Mapping):
             raise InputError("must be a table of settings", file=file, quantity="supervisor", value=table)
         known = {f.name: f for f in fields(cls)}
-        check_keys(table, set(known), set(), file=f"{file}: supervisor")
+        check_keys(table, set(known), set(), file=file, under="supervisor")
         values: dict[str, Any] = {
             key: as_float(value) if "range" in known[key].metadata and type(value) is int else value
             for key, value in table.items()

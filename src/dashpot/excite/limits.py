@@ -38,9 +38,10 @@ class Limits:
         ):
             value = getattr(self, key)
             if not 0 < value <= high:  # also catches NaN
+                said = "" if unit == "-" else unit
                 raise InputError(
-                    f"must be above 0 and at most {high:.4g} {unit}",
-                    quantity=f"--{key.replace('_', '-')} [{unit}]",
+                    f"must be above 0 and at most {high:.4g} {said}".rstrip(),
+                    quantity=f"--{key.replace('_', '-')}" + (f" [{said}]" if said else ""),
                     value=value,
                 )
 
@@ -79,6 +80,6 @@ def check_weight(plants: Sequence[Plant], limits: Limits) -> None:
                     "stays within the share; use a lighter payload, another home or a larger --torque-share",
                     file=plant.robot.file,
                     joint=drive.name,
-                    quantity="--torque-share [-]",
+                    quantity="--torque-share",
                     value=limits.torque_share,
                 )

@@ -30,6 +30,7 @@ from dashpot.arm.robot import Robot
 from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.interface import Sample
 from dashpot.support.arrays import Floats
+from dashpot.support.installing import install
 
 JOINTS = 7
 PERIOD = 1e-3  # [s]
@@ -55,8 +56,7 @@ def pylibfranka() -> ModuleType:
             found = importlib.metadata.version("pylibfranka")
         except importlib.metadata.PackageNotFoundError:
             raise DashpotError(
-                "pylibfranka is not installed: pip install 'dashpot[franka]' "
-                "(Linux on x86-64, Python 3.11 or 3.12)"
+                f"pylibfranka is not installed: {install('franka')} (Linux on x86-64, Python 3.11 or 3.12)"
             ) from None
         raise DashpotError(f"pylibfranka {found} does not run here: {error}") from None
 

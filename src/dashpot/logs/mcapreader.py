@@ -22,6 +22,7 @@ from dashpot.errors import DashpotError, InputError
 from dashpot.logs.cdr import MESSAGE
 from dashpot.logs.messages import Field
 from dashpot.support.arrays import Floats
+from dashpot.support.installing import install
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
@@ -189,7 +190,7 @@ def package(name: str) -> Any:
         return importlib.import_module(name)
     except ImportError:
         said = name.partition(".")[0]
-        raise DashpotError(f"MCAP logs need {said}: pip install 'dashpot[logs]'") from None
+        raise DashpotError(f"MCAP logs need {said}: {install('logs')}") from None
 
 
 def scan(path: Path, wanted: Collection[str] | None = None) -> Content:

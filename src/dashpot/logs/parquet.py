@@ -10,6 +10,7 @@ import numpy as np
 from dashpot.errors import DashpotError, InputError
 from dashpot.logs.channels import Raw, Source, Topics, columns, seconds, table
 from dashpot.logs.log import Log
+from dashpot.support.installing import install
 
 SAMPLING = b"dashpot.sampling"  # key in the file's metadata
 
@@ -24,7 +25,7 @@ def arrow() -> tuple[Any, Any]:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
-        raise DashpotError("Parquet logs need pyarrow: pip install 'dashpot[logs]'") from None
+        raise DashpotError(f"Parquet logs need pyarrow: {install('logs')}") from None
     return pyarrow, pyarrow.parquet
 
 

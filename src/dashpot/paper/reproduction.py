@@ -21,6 +21,7 @@ from dashpot.support.plots import save
 from dashpot.support.waiting import waiting
 
 FEWEST = 2  # seeds; one has no spread
+MOST = 1000  # more take hours
 
 LEAD = (
     "Aldridge and Juang, Virtual passive controller for robot systems using joint torque sensors "
@@ -44,10 +45,10 @@ def reproduce(
         The relations, and what was written to results.json.
 
     Raises:
-        InputError: Fewer than two seeds or an unusable folder.
+        InputError: Too few or too many seeds, or an unusable folder.
     """
-    if seeds < FEWEST:
-        raise InputError(f"must be at least {FEWEST}", quantity="--seeds", value=seeds)
+    if not FEWEST <= seeds <= MOST:
+        raise InputError(f"must be {FEWEST} to {MOST}", quantity="--seeds", value=seeds)
     start = time.perf_counter()
     with whole_folder(out) as folder:
         tracking = fig4.run(seeds, threads)

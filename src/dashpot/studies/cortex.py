@@ -18,6 +18,7 @@ import numpy as np
 from dashpot.export.c import Export
 from dashpot.studies.export_cases import STRICT, write_sources
 from dashpot.support.arrays import Floats
+from dashpot.support.installing import install
 
 FLASH, RAM, SCRIPT, RESULT = 0x08000000, 0x20000000, 0x60000000, 0x68000000
 FLASH_SIZE, RAM_SIZE, BUFFER = 1 << 20, 1 << 17, 1 << 27
@@ -40,7 +41,7 @@ def available() -> str:
     from importlib.util import find_spec
 
     missing = [name for name in ("ziglang", "unicorn", "elftools") if find_spec(name) is None]
-    return f"needs {', '.join(missing)}: pip install 'dashpot[test]'" if missing else ""
+    return f"needs {', '.join(missing)}: {install('test')}" if missing else ""
 
 
 @dataclass(frozen=True)

@@ -153,8 +153,17 @@ def check_keys(
     *,
     file: object = None,
     joint: str | None = None,
+    under: str = "",
 ) -> None:
     """Checks that a table has every required key and no unknown one.
+
+    Args:
+        table: What was read.
+        allowed: Keys that may be there.
+        required: Those that must.
+        file: Named in the error.
+        joint: Likewise.
+        under: The table's own key, "axes.gains" say, which stands before the keys in it.
 
     Raises:
         InputError: Naming the key, with the nearest valid spelling where there is one.
@@ -164,12 +173,12 @@ def check_keys(
             near = [name for name in sorted(allowed) if name.lower() == key.lower()]
             near = near or difflib.get_close_matches(key, allowed, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(sorted(allowed))}"
-            raise InputError(f"unknown key{hint}", file=file, joint=joint, quantity=key)
+            named = f"{under}.{key}" if under else key
+            raise InputError(f"unknown key{hint}", file=file, joint=joint, quantity=named)
     missing = sorted(required - table.keys())
     if missing:
-        raise InputError(
-            f"missing key{'s' if len(missing) > 1 else ''}: {', '.join(missing)}", file=file, joint=joint
-        )
+        rule = f"missing key{'s' if len(missing) > 1 else ''}: {', '.join(missing)}"
+        raise InputError(rule, file=file, joint=joint, quantity=under or None)
 
 
 def from_table(cls: type[T], table: Mapping[str, Any], *, file: object = None, joint: str | None = None) -> T:

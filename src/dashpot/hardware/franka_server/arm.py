@@ -128,6 +128,8 @@ class Arm:
             self.state[name] = np.eye(4).ravel()
         self.state["O_ddP_O"] = self.gravity.acceleration
         self._torque, self._theta, self._dtheta, self._q, self._dq = np.zeros((5, JOINTS))
+        # What does not fit is refused now, not at the first motion.
+        SteppedArm(self._plant, PERIOD, faults=faults, payload_changes=payload_changes, seed=seed)
         self._rest(SteppedArm(self._plant, PERIOD, seed=seed))
         self.begun = False
 

@@ -1,6 +1,6 @@
 """A scene of one's own in the studio: the hand lets go of its payload, then an encoder freezes.
 
-Here it is told in text; with ``--watch`` in the browser (pip install 'dashpot[studio]').
+Here it is told in text; with ``--watch`` in the browser (extra `studio`).
 """
 
 import sys

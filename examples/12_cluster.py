@@ -1,4 +1,4 @@
-"""A campaign on a Dask cluster (pip install 'dashpot[campaign]'): workers simulate, this process writes.
+"""A campaign on a Dask cluster (extra `campaign`): workers simulate, this process writes.
 
 The cluster here is two processes on this machine; where a scheduler runs elsewhere, take its address.
 """
@@ -8,6 +8,7 @@ from pathlib import Path
 
 from distributed import LocalCluster
 
+from dashpot.campaign.cluster import connected
 from dashpot.campaign.execute import execute
 from dashpot.campaign.scenario import Campaign
 from dashpot.campaign.spec import Spec
@@ -30,7 +31,8 @@ if __name__ == "__main__":  # processes of the cluster import this file
         path = Path(folder) / "campaign.zarr"
         create(path, campaign)
         store = Store(path, campaign)
-        execute(campaign, store, scheduler=cluster.scheduler_address)
+        with connected(cluster.scheduler_address) as client:
+            execute(campaign, store, client=client)
         store.close()
         with open_dataset(path) as dataset:
             print(dataset["error_rms"].max("joint").to_series())

@@ -174,8 +174,8 @@ def test_a_load_beyond_the_drive_is_said_in_a_second(here, dashpot):
         (("--authority", "90"), "--authority [-] = 90.0: must be above 0 and at most 1"),
         (("--payload", "inf"), "--payload [kg] = inf: must be finite"),
         (("--offset", "1", "2"), "--offset [m] = (1.0, 2.0): must be one number or three"),
-        (("--joint", "elbow"), "joint 'elbow': the robot has no such joint; it has wrist / [1]"),
-        (("--workers", "0"), "--workers = 0: must be at least 1"),
+        (("--joint", "elbow"), "--joint = 'elbow': no such joint; one has wrist / [1]"),
+        (("--workers", "0"), "--workers = 0: must be 1 to 1024"),
         (("--out", "."), "--out = '.'"),
     ],
 )

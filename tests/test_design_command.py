@@ -128,6 +128,13 @@ def test_a_design_from_specification_to_certificate(here, dashpot):
             assert f">{QUANTITIES[name].shown(joint['predicted'][name])}<" in page
 
 
+def test_what_cannot_be_simulated_yet_is_not_proposed(dashpot):
+    status, out, _ = dashpot("design", "fr3", "brake", "--joint", "joint7")
+    assert status == 0
+    assert "dashpot simulate" not in out
+    assert "not yet to be simulated: joint1, joint2, joint3, joint4, joint5, joint6 without a contr" in out
+
+
 def test_conflicting_wishes_leave_no_controller(here, dashpot):
     folder = here / "out" / "design"
     folder.mkdir(parents=True)
@@ -173,8 +180,8 @@ def test_a_load_beyond_the_drive_is_said_in_a_second(here, dashpot):
         (("--authority", "90"), "--authority [-] = 90.0: must be above 0 and at most 1"),
         (("--payload", "inf"), "--payload [kg] = inf: must be finite"),
         (("--offset", "1", "2"), "--offset [m] = (1.0, 2.0): must be one number or three"),
-        (("--joint", "elbow"), "joint 'elbow': the robot has no such joint; it has wrist / [1]"),
-        (("--workers", "0"), "--workers = 0: must be at least 1"),
+        (("--joint", "elbow"), "--joint = 'elbow': no such joint; one has wrist / [1]"),
+        (("--workers", "0"), "--workers = 0: must be 1 to 1024"),
         (("--out", "."), "--out = '.'"),
     ],
 )

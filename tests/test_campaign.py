@@ -259,6 +259,15 @@ def test_another_campaign_is_not_mixed_in(spec, tmp_path, capsys):
         open_dataset(tmp_path / "nowhere")
 
 
+def test_an_index_that_is_none_is_named(spec, tmp_path, capsys):
+    out = finished(spec(), tmp_path / "out.zarr")
+    with pytest.raises(SystemExit):
+        main(["replay", str(out), "-1"])
+    assert capsys.readouterr().err.startswith(
+        "dashpot: error: INDEX = -1: must be 0 to 17, the scenarios of "
+    )
+
+
 def test_replay_gives_the_same_bits_and_simulates_picture(spec, tmp_path, capsys):
     out = finished(spec(), tmp_path / "out.zarr")
     with pytest.raises(SystemExit) as left:
@@ -326,6 +335,11 @@ def test_the_report_judges_and_is_one_page(spec, tmp_path, capsys):
         main(["report", str(out), "--out", str(page)])
     said = capsys.readouterr().out
     assert left.value.code == 1  # the second requirement cannot be met
+    assert "dashpot report" not in said  # that is what has just been done
+    with pytest.raises(SystemExit) as left:
+        main(["report", str(out), "--out", str(tmp_path / "law.toml" / "page.html")])
+    assert left.value.code == 2
+    assert "--out = " in capsys.readouterr().err
     text = page.read_text()
     parser = Fetched()
     parser.feed(text)

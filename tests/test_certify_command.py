@@ -73,6 +73,13 @@ def dashpot(capsys):
     return dashpot
 
 
+def test_a_model_that_is_not_there_is_said(files, dashpot):
+    robot, controller = files(robot=ROBOT.replace('name = "one"', 'name = "one"\nmodel = "none.xml"', 1))
+    status, _, err = dashpot("certify", robot, controller, "--json")
+    assert status in (0, 1)
+    assert err.startswith("dashpot: warning: robot.toml: model = 'none.xml': no such file")
+
+
 def strict(text):
     def refuse(name):
         raise AssertionError(f"{name} is not JSON")

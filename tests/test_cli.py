@@ -427,7 +427,20 @@ def test_step_with_nan_holds_a_finite_torque():
     assert np.isfinite(out).all()
 
 
-@pytest.mark.parametrize("arguments", [["design", "--help"], ["--help"]])
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_output_that_cannot_be_written_is_said(unbuffered):
+    whole = [sys.executable, "-m", "dashpot", "--help"]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            whole, stdout=full, stderr=subprocess.PIPE, env=os.environ | {"PYTHONUNBUFFERED": unbuffered}
+        )
+    said = b"dashpot: error: standard output could not be written: No space left on device\n"
+    assert (done.returncode, done.stderr) == (2, said)
+
+
+# A script, and tables, whose printer would end with 1 by itself.
+@pytest.mark.parametrize("arguments", [["design", "--help"], ["--help"], ["completion", "zsh"], ["doctor"]])
 def test_a_reader_that_leaves_is_no_error(arguments):
     """`dashpot design --help | head`: no traceback when the pipe is closed."""
     whole = [sys.executable, "-m", "dashpot", *arguments]

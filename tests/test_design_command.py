@@ -129,6 +129,13 @@ def test_a_design_from_specification_to_certificate(here, dashpot):
             assert f">{QUANTITIES[name].shown(joint['predicted'][name])}<" in page
 
 
+def test_what_cannot_be_simulated_yet_is_not_proposed(dashpot):
+    status, out, _ = dashpot("design", "fr3", "brake", "--joint", "joint7")
+    assert status == 0
+    assert "dashpot simulate" not in out
+    assert "not yet to be simulated: joint1, joint2, joint3, joint4, joint5, joint6 without a contr" in out
+
+
 def test_conflicting_wishes_leave_no_controller(here, dashpot):
     folder = here / "out" / "design"
     folder.mkdir(parents=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import io
 import os
 import signal
 import sys
@@ -77,6 +78,8 @@ def main(arguments: list[str] | None = None) -> None:
 
     Ctrl-C exits 130, SIGTERM 143, SIGHUP 129.
     """
+    if sys.stdout is None:  # closed
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a terminal without a character shows "?" for it
             stream.reconfigure(errors="replace")
@@ -84,16 +87,16 @@ def main(arguments: list[str] | None = None) -> None:
         warnings.simplefilter("always", InputWarning)
         warnings.showwarning = _show_warning
         try:
-            command = parse(sys.argv[1:] if arguments is None else arguments)
-            with _tidy_stop():
-                status = command.run()
+            status = _run(sys.argv[1:] if arguments is None else arguments)
+            sys.stdout.flush()  # here, where what goes wrong with it can be said
         except DashpotError as error:
             status = _fail(str(error))
         except BrokenPipeError:  # the reader of our output has left: `dashpot ... | head`
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            _leave_output()
             status = 141
         except OSError as error:
-            status = _fail(": ".join(str(part) for part in (error.filename, error.strerror or error) if part))
+            what = "standard output could not be written" if _output_fails() else error.filename
+            status = _fail(": ".join(str(part) for part in (what, error.strerror or error) if part))
         except MemoryError:
             status = _fail("out of memory; ask for a shorter motion or fewer threads")
         except KeyboardInterrupt as stop:
@@ -101,6 +104,35 @@ def main(arguments: list[str] | None = None) -> None:
             status = 128 + stop.args[0] if isinstance(stop, _Terminated) else 130
             _leave_if_running(status)
     sys.exit(status)
+
+
+def _run(arguments: Sequence[str]) -> Any:
+    """Runs what was typed; gives the exit status."""
+    try:
+        command = parse(arguments)
+        with _tidy_stop():
+            return command.run()
+    except SystemExit as end:
+        if isinstance(end.__context__, BrokenPipeError):  # rich would have it end with 1, "the answer is no"
+            raise BrokenPipeError from None
+        return end.code
+
+
+def _output_fails() -> bool:
+    """Whether what is still to be written to standard output cannot be; then nothing more goes there."""
+    try:
+        sys.stdout.flush()
+        os.write(sys.stdout.fileno(), b"")  # where nothing is kept to be written
+    except io.UnsupportedOperation:
+        return False
+    except OSError:
+        _leave_output()
+        return True
+    return False
+
+
+def _leave_output() -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _leave_if_running(status: int) -> None:

@@ -99,7 +99,8 @@ class Identify:
     Example: dashpot identify log.csv --robot fr3
 
     Everything is SI and on the link side of the gear; docs/logs.md lists columns and topics. Exit status: 0
-    everything identified, 1 something is refused (it says what, why, and which motion would do), 2 bad input.
+    inertia and friction of every joint are identified, 1 those of a joint are refused (it says why, and which
+    motion would do), 2 bad input.
     """
 
     log: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG")]

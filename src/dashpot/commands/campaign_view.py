@@ -113,8 +113,10 @@ def case_words(requirement: Requirement, case: Case) -> str:
     return f"#{case.index}{f' {case.joint}' if case.joint else ''}: {value}"
 
 
-def show_results(spec: Spec, dataset: Any, verdicts: Sequence[Verdict], out: Path) -> None:
-    """Prints verdicts, failed scenarios and what to run next."""
+def show_results(
+    spec: Spec, dataset: Any, verdicts: Sequence[Verdict], out: Path, *, reported: bool = False
+) -> None:
+    """Prints verdicts, failed scenarios and what to run next: no report where that has just been made."""
     screen = console()
     if verdicts:
         table = bare_table("Requirements")
@@ -148,8 +150,9 @@ def show_results(spec: Spec, dataset: Any, verdicts: Sequence[Verdict], out: Pat
                 f"  and {len(lost) - LISTED} more: status and reason in the dataset", highlight=False
             )
     first = lost[0] if len(lost) else next((v.worst[0].index for v in verdicts if not v.holds and v.worst), 0)
-    screen.print(f"next: dashpot report {place}", highlight=False, soft_wrap=True)
-    screen.print(f"      dashpot replay {place} {first}", highlight=False, soft_wrap=True)
+    following = [] if reported else [f"dashpot report {place}"]
+    for i, command in enumerate([*following, f"dashpot replay {place} {first}"]):
+        screen.print(f"{'      ' if i else 'next: '}{command}", highlight=False, soft_wrap=True)
 
 
 def show_supervisor(campaign: Campaign) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ from dashpot.certify.digest import digest
 from dashpot.certify.testbench import hidden, write
 from dashpot.commands.shared import file_names, progress
 from dashpot.control.controller import ControllerConfig, JointGains, Law, gains_of, load_controller
-from dashpot.errors import InputError
+from dashpot.errors import InputError, InputWarning
 from dashpot.support.output import whole_folder
 
 if TYPE_CHECKING:
@@ -32,6 +33,10 @@ def certify(options: Certify) -> int:
     """``dashpot certify``; returns the exit status: 1 unless every joint is certified."""
     robot, config = Robot.load(options.robot), load_controller(options.controller)
     pairs = paired(robot, config)
+    if robot.model is not None and not robot.model.is_file():
+        rule = "no such file; the certificate needs none, but dashpot simulate does"
+        message = InputError(rule, file=robot.file, quantity="model", value=str(robot.model))
+        warnings.warn(str(message), InputWarning, stacklevel=2)
     out = options.out or (None if options.json else OUT)
     with progress("certifying", len(pairs) * (1 if out is None else 2)) as advance:
         certificate = certify_arm(robot, config, advance)

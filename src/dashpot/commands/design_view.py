@@ -94,7 +94,9 @@ def _end(console: Console, result: Design, robot: Robot, options: Options) -> No
     console.print(verdict(True, "every joint certified"), highlight=False)
     name, controller = escape(options.robot), escape(str(out / "controller.toml"))
     commands = [f"open {escape(str(out / 'report.html'))}", f"dashpot certify {name} {controller}"]
-    if robot.model is not None:
+    designed = {joint.name for joint in result.joints}
+    bare = [drive.name for drive in robot.drives if drive.servo is None and drive.name not in designed]
+    if robot.model is not None and not bare:
         spec, load = result.spec, ""
         if spec.payload > 0:
             load = f" --payload {spec.payload:g}"
@@ -104,6 +106,9 @@ def _end(console: Console, result: Design, robot: Robot, options: Options) -> No
         commands.append(f"dashpot simulate {name} {controller}{load}{release}")
     for command in commands:
         console.print(command, highlight=False, soft_wrap=True)
+    if bare:
+        rule = f"not yet to be simulated: {', '.join(bare)} without a controller or a servo; design them, too"
+        console.print(escape(rule), highlight=False, soft_wrap=True)
 
 
 def _gains(result: Design, done: Sequence[JointDesign]) -> Table:

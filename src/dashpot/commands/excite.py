@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from dashpot.arm.robot import Robot
 from dashpot.commands.excite_view import draw, show
-from dashpot.commands.shared import check_joints, payload_of
+from dashpot.commands.payload import payload_of
+from dashpot.commands.shared import check_joints
 from dashpot.control.controller import load_controller
 from dashpot.excite import Limits
 from dashpot.excite import excite as search

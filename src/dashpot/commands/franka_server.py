@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from dashpot.arm.robot import Robot
-from dashpot.commands.shared import bare_table, check_file_place, of_flags, payload_of
+from dashpot.commands.payload import payload_of
+from dashpot.commands.shared import bare_table, check_file_place, of_flags
 from dashpot.commands.simulate_faults import of_faults, read_changes, read_faults
 from dashpot.errors import InputError
 from dashpot.hardware.franka_server.arm import Arm

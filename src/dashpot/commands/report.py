@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import secrets
 import tempfile
 from collections.abc import Sequence
 from html import escape
@@ -21,7 +19,9 @@ from dashpot.campaign.store import attributes, open_dataset, spec_of
 from dashpot.commands.campaign import needs_campaign_extra, replay_command
 from dashpot.commands.campaign_view import amount, axis_words, case_words, show_results
 from dashpot.commands.report_plots import Picture, pictures
+from dashpot.commands.shared import check_file_place
 from dashpot.errors import InputError
+from dashpot.logs.atomic import replaced
 from dashpot.support.report import facts, image, page, table
 from dashpot.support.waiting import waiting
 
@@ -37,6 +37,11 @@ def report(options: Report) -> int:
     out = options.out or options.dataset.with_suffix(".html")
     if out.is_dir() or out.resolve().is_relative_to(options.dataset.resolve()):
         raise InputError("must be a file outside the dataset", quantity="--out", value=str(out))
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unwritable(out, error) from None
+    check_file_place(out, "--out")
     about, spec = attributes(options.dataset), spec_of(options.dataset)
     with open_dataset(options.dataset) as dataset, tempfile.TemporaryDirectory() as folder:
         with waiting("drawing"):
@@ -45,16 +50,18 @@ def report(options: Report) -> int:
             drawn = pictures(spec, dataset, good, Path(folder))
         status = dataset["status"].values.ravel()
         html = _page(spec, about, dataset, verdicts, good, drawn, options.dataset)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        work = out.with_name(f".{out.name}.{secrets.token_hex(4)}.part")
         try:
-            work.write_text(html, encoding="utf-8")
-            os.replace(work, out)
-        finally:
-            work.unlink(missing_ok=True)
-        show_results(spec, dataset, verdicts, options.dataset)
+            with replaced(out) as work:
+                work.write_text(html, encoding="utf-8")
+        except OSError as error:
+            raise _unwritable(out, error) from None
+        show_results(spec, dataset, verdicts, options.dataset, reported=True)
     Console().print(f"open {out}", highlight=False, markup=False, soft_wrap=True)
     return 0 if (status == OK).all() and all(verdict.holds for verdict in verdicts) else 1
+
+
+def _unwritable(out: Path, error: OSError) -> InputError:
+    return InputError(f"cannot be written: {error.strerror or error}", quantity="--out", value=str(out))
 
 
 def _page(

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from dashpot.arm.drive import Drive
 from dashpot.arm.robot import Robot
-from dashpot.commands.shared import check_file_place, payload_of
+from dashpot.commands.payload import payload_of
+from dashpot.commands.shared import check_file_place
 from dashpot.control.controller import Controller, ControllerConfig, load_controller
 from dashpot.control.supervisor import Supervisor
 from dashpot.errors import InputError

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dashpot.commands.payload import payload_of
 from dashpot.commands.run_job import Job
-from dashpot.commands.shared import payload_of
 from dashpot.control.controller import Controller
 from dashpot.errors import DashpotError, InputError
 from dashpot.hardware.interface import Hardware

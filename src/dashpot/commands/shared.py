@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 import tempfile
 import textwrap
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -16,9 +16,10 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from dashpot.arm.payload import Payload
-from dashpot.arm.robot import Robot
-from dashpot.errors import InputError, InputWarning
+from dashpot.errors import InputError
+
+if TYPE_CHECKING:
+    from dashpot.arm.robot import Robot
 
 
 def file_names(joints: Sequence[str]) -> dict[str, str]:
@@ -31,40 +32,6 @@ def file_names(joints: Sequence[str]) -> dict[str, str]:
             name, number = f"{plain}-{number}", number + 1
         names[joint] = name
     return names
-
-
-def payload_offset(values: tuple[float, ...]) -> float | tuple[float, float, float]:
-    """What follows ``--offset``, as `Payload` takes it [m].
-
-    Raises:
-        InputError: Neither one number nor three.
-    """
-    match values:
-        case (x,):
-            return x
-        case (x, y, z):
-            return x, y, z
-    raise InputError("must be one number or three", quantity="--offset [m]", value=values)
-
-
-def payload_of(mass: float, offset: tuple[float, ...], flag: str = "--payload") -> Payload:
-    """The payload of ``--payload`` and ``--offset``.
-
-    Raises:
-        InputError: It cannot be; names the flag.
-
-    Warns:
-        InputWarning: The mass is unusual; likewise.
-    """
-    place = payload_offset(offset)
-    names = {"mass [kg]": f"{flag} [kg]", "payload offset [m]": "--offset [m]"}
-    with warnings.catch_warnings(record=True) as caught, of_flags(names):
-        warnings.simplefilter("always", InputWarning)
-        payload = Payload(mass, place)
-    for warning in caught:
-        text = str(warning.message).replace("mass [kg]", names["mass [kg]"], 1)
-        warnings.warn(text, InputWarning, stacklevel=2)
-    return payload
 
 
 @contextmanager

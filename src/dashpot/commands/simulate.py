@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from dashpot.cli.simulate import Simulate
 
 from dashpot.commands.aside import run_aside
-from dashpot.commands.shared import check_file_place, clock, payload_of, payload_offset
+from dashpot.commands.payload import payload_of, payload_offset
+from dashpot.commands.shared import check_file_place, clock
 from dashpot.commands.simulate_faults import marks, of_faults, read_changes, read_faults
 from dashpot.commands.simulate_view import draw, show
 from dashpot.simulation.engine import quiet_engine

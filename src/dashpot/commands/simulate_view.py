@@ -141,6 +141,12 @@ def show(
             highlight=False,
             soft_wrap=True,
         )
+        console.print(
+            f"      ({escape(options.robot)} is what was simulated; --robot takes the file to be checked)",
+            highlight=False,
+            soft_wrap=True,
+            style="dim",
+        )
 
 
 def stopped_at(recording: Recording) -> float | None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from dashpot.commands.shared import payload_of
+from dashpot.commands.payload import payload_of
 from dashpot.errors import DashpotError, InputError
 from dashpot.simulation.engine import quiet_engine
 from dashpot.support.installing import install

@@ -439,5 +439,5 @@ def test_missing_packages_are_named(tmp_path, monkeypatch, suffix, package):
     path = tmp_path / f"log.{suffix}"
     path.write_bytes(b"x")
     monkeypatch.setitem(__import__("sys").modules, package, None)
-    with pytest.raises(Exception, match=r"pip install 'dashpot\[logs\]'"):
+    with pytest.raises(Exception, match=r"-m pip install .*\[logs\]'$"):
         read_log(path)

@@ -7,6 +7,8 @@ import json
 import re
 import shlex
 import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -104,3 +106,15 @@ def test_completion_is_a_script_for_the_shell():
     assert subprocess.run(["bash", "-n"], input=script, text=True).returncode == 0
     assert all(f"{name}" in script for name in COMMANDS)
     assert dashpot("completion", "fish")[2] == "dashpot: error: SHELL = 'fish': must be bash, zsh or tcsh\n"
+
+
+def test_what_is_missing_is_installed_from_where_dashpot_came(monkeypatch, tmp_path):
+    words = shlex.split(install("logs"))
+    assert words[:4] == [sys.executable, "-m", "pip", "install"]
+    assert words[4:] == ["-e", f"{Path(__file__).parents[1]}[logs]"]
+    monkeypatch.setattr(
+        "dashpot.support.installing.__file__", str(tmp_path / "dashpot/support/installing.py")
+    )
+    assert shlex.split(install("logs"))[4:] == [
+        "dashpot[logs]"
+    ]  # a wheel: what it needs, not another dashpot

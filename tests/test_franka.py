@@ -1,5 +1,6 @@
 """Official pylibfranka against the simulated FR3, each in its own process, over loopback."""
 
+import json
 import os
 import subprocess
 import sys
@@ -19,6 +20,7 @@ pylibfranka = pytest.importorskip(
 
 from dashpot.hardware.franka_server.arm import Gravity  # noqa: E402
 from dashpot.studies.franka import bad, digest, drive, motion, scenario, serve, truth  # noqa: E402
+from dashpot.studies.numbers import DOCS  # noqa: E402
 
 DURATION = 3.2  # [s]; the encoder freezes at 2 s
 
@@ -73,6 +75,16 @@ def test_payload_and_frozen_encoder_in_lock_step(twice):
         assert found["speed_braked_rad_s"] < 0.03
         assert found["drift_braked_rad"] < 0.005
         assert found["speed_at_end_rad_s"] < 5e-3  # the robot's own stop
+
+
+def test_the_committed_run_is_made_again(twice):
+    """Up to the end of this shorter motion; times of the machine are not."""
+    served, outcome = twice[0]
+    said = json.loads((DOCS / "evidence" / "franka.json").read_text("utf-8"))["repeat"]
+    assert str(outcome.decisions[0]) == said["decisions"][0]
+    found = truth(served.recording, motion(DURATION))
+    for name in ("error_before_rad", "error_with_payload_rad", "speed_when_frozen_rad_s", "way_after_rad"):
+        assert found[name] == pytest.approx(said["truth"][name], rel=1e-6), name
 
 
 def test_lock_step_repeats_bit_by_bit(twice):

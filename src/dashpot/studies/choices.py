@@ -141,28 +141,21 @@ def rows() -> Iterator[str]:
         yield row(label, with_means(given, changes), gains)
 
 
-def designs() -> dict[str, Any]:
+def designed(flags: Mapping[str, Any]) -> dict[str, Any]:
     """What `dashpot design` makes of the joint with other means; for JSON."""
-    found = []
-    for flags in FLAGS:
-        (joint,) = design_arm(Robot.load("fr3"), wishes().changed(**flags)).joints
-        made: dict[str, Any] = {"flags": flags}
-        if joint.found is None:
-            made["refused"] = conflict_lines(joint)
-        else:
-            gains = joint.found.gains.joint(joint.name)
-            limits, margin = joint.wishes.limits, joint.wishes.margin
-            made |= {
-                "gains": {name: getattr(gains, name) for name in NUMBERS},
-                "error_deg": significant(math.degrees(joint.predicted["load_error"])),
-                "stop_ms": predicted_text(joint, "stop_time"),
-                "limited_by": [
-                    binding_text(name, limits, margin).removesuffix(" of limit")
-                    for name in joint.found.binding
-                ],
-            }
-        found.append(made)
-    return {"command": "python -m dashpot.studies.choices designs", "designs": found}
+    (joint,) = design_arm(Robot.load("fr3"), wishes().changed(**flags)).joints
+    if joint.found is None:
+        return {"flags": dict(flags), "refused": conflict_lines(joint)}
+    gains = joint.found.gains.joint(joint.name)
+    limits, margin = joint.wishes.limits, joint.wishes.margin
+    binding = [binding_text(name, limits, margin).removesuffix(" of limit") for name in joint.found.binding]
+    return {
+        "flags": dict(flags),
+        "gains": {name: getattr(gains, name) for name in NUMBERS},
+        "error_deg": significant(math.degrees(joint.predicted["load_error"])),
+        "stop_ms": predicted_text(joint, "stop_time"),
+        "limited_by": binding,
+    }
 
 
 def design_rows(made: Mapping[str, Any]) -> Iterator[str]:
@@ -179,7 +172,10 @@ def design_rows(made: Mapping[str, Any]) -> Iterator[str]:
 
 if __name__ == "__main__":
     if sys.argv[1:] == ["designs"]:
-        print(json.dumps(designs(), indent=1))
+        found = [designed(flags) for flags in FLAGS]
+        print(
+            json.dumps({"command": "python -m dashpot.studies.choices designs", "designs": found}, indent=1)
+        )
     else:
         for line in rows():
             print(line)

@@ -46,8 +46,8 @@ class Ticks:
 class SteppedArm:
     """An arm to be sensed and pushed in turns, from rest with its motors carrying the load.
 
-    >>> link.sense(torque, position, velocity)  # writes (n,) N m, rad, rad/s
-    >>> link.push(command)                      # (n,) N m until the next tick; False: it blew up
+    >>> arm.sense(torque, position, velocity)  # writes (n,) N m, rad, rad/s
+    >>> arm.push(command)                      # (n,) N m until the next tick; False: it blew up
 
     Attributes:
         plant: The arm, at the time step it runs at.
